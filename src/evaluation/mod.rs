@@ -1,0 +1,1 @@
+//! Trajectories against truth: ATE, RPE, relations; plots.

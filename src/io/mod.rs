@@ -1,0 +1,1 @@
+//! Files: bags, trajectories, relations, maps.

@@ -1,0 +1,304 @@
+//! Knobs: the parameters of the product, each declared once.
+//!
+//! A module declares its knobs with [`knobs!`](crate::knobs!): name, type, default, range, unit and help on two lines. That one declaration serves
+//! the struct that the code reads, the YAML file, the ROS parameters, `--set` and the table in the README; [`crate::config`] composes
+//! the groups.
+
+use std::fmt::Display;
+
+/// A parameter value before it is checked: what YAML, the ROS parameter server and `--set` have in common.
+pub type Value = serde_json::Value;
+
+/// What there is to know of one knob.
+#[derive(Clone, Debug)]
+pub struct KnobInfo {
+    /// Name within its group.
+    pub name: &'static str,
+    /// What it does.
+    pub help: &'static str,
+    /// Unit of the value; empty when it has none.
+    pub unit: &'static str,
+    /// The values it takes, in words.
+    pub accepts: String,
+    /// Value when nothing is set.
+    pub default: Value,
+}
+
+/// A struct of knobs, made by [`knobs!`](crate::knobs!).
+pub trait KnobGroup {
+    /// Every knob of the group, in declaration order, with its default.
+    fn table(&self) -> Vec<KnobInfo>;
+    /// The present value of a knob.
+    fn get(&self, name: &str) -> Option<Value>;
+    /// Sets a knob. `None`: there is no knob of that name. `Some(Err)`: the value does not fit; the knob keeps its old one.
+    fn set(&mut self, name: &str, value: &Value) -> Option<Result<(), String>>;
+}
+
+/// A type that a knob can have.
+pub trait KnobValue: Sized {
+    /// The checked value, or what was expected instead.
+    fn from_value(value: &Value) -> Result<Self, String>;
+    /// The value as it would stand in a file.
+    fn to_value(&self) -> Value;
+    /// The kind of value in words: `number`, `one of a | b`.
+    fn kind() -> String;
+    /// The value as a number, for the range check; `None` for kinds without an order.
+    fn number(&self) -> Option<f64> {
+        None
+    }
+}
+
+fn expected(kind: impl Display, value: &Value) -> String {
+    format!("expected {kind}, got {value}")
+}
+
+impl KnobValue for bool {
+    fn from_value(value: &Value) -> Result<Self, String> {
+        value.as_bool().ok_or_else(|| expected(Self::kind(), value))
+    }
+    fn to_value(&self) -> Value {
+        (*self).into()
+    }
+    fn kind() -> String {
+        "true | false".into()
+    }
+}
+
+impl KnobValue for u32 {
+    fn from_value(value: &Value) -> Result<Self, String> {
+        value.as_u64().and_then(|v| Self::try_from(v).ok()).ok_or_else(|| expected(Self::kind(), value))
+    }
+    fn to_value(&self) -> Value {
+        (*self).into()
+    }
+    fn kind() -> String {
+        "whole number".into()
+    }
+    fn number(&self) -> Option<f64> {
+        Some(f64::from(*self))
+    }
+}
+
+/// A whole number serves too: the ROS parameter server makes one of `1`.
+impl KnobValue for f64 {
+    fn from_value(value: &Value) -> Result<Self, String> {
+        value.as_f64().filter(|v| v.is_finite()).ok_or_else(|| expected(Self::kind(), value))
+    }
+    fn to_value(&self) -> Value {
+        (*self).into()
+    }
+    fn kind() -> String {
+        "number".into()
+    }
+    fn number(&self) -> Option<f64> {
+        Some(*self)
+    }
+}
+
+impl KnobValue for String {
+    fn from_value(value: &Value) -> Result<Self, String> {
+        value.as_str().map(Into::into).ok_or_else(|| expected(Self::kind(), value))
+    }
+    fn to_value(&self) -> Value {
+        self.as_str().into()
+    }
+    fn kind() -> String {
+        "text".into()
+    }
+}
+
+/// A time span in seconds; read from a number of seconds or from text with a unit (`5ms`, `200us`).
+#[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
+pub struct Seconds(pub f64);
+
+impl KnobValue for Seconds {
+    fn from_value(value: &Value) -> Result<Self, String> {
+        match value {
+            Value::String(text) => humantime::parse_duration(text)
+                .map(|d| Self(d.as_secs_f64()))
+                .map_err(|e| format!("expected {}, got {value} ({e})", Self::kind())),
+            _ => f64::from_value(value).map(Self).map_err(|_| expected(Self::kind(), value)),
+        }
+    }
+    fn to_value(&self) -> Value {
+        self.0.into()
+    }
+    fn kind() -> String {
+        "seconds, or text such as 5ms".into()
+    }
+    fn number(&self) -> Option<f64> {
+        Some(self.0)
+    }
+}
+
+/// Unset is `null` or the text `unset`.
+impl<T: KnobValue> KnobValue for Option<T> {
+    fn from_value(value: &Value) -> Result<Self, String> {
+        match value {
+            Value::Null => Ok(None),
+            Value::String(text) if text.is_empty() || text == "unset" => Ok(None),
+            _ => T::from_value(value).map(Some),
+        }
+    }
+    fn to_value(&self) -> Value {
+        self.as_ref().map_or(Value::Null, KnobValue::to_value)
+    }
+    fn kind() -> String {
+        format!("{} | unset", T::kind())
+    }
+    fn number(&self) -> Option<f64> {
+        self.as_ref().and_then(KnobValue::number)
+    }
+}
+
+/// `[x, y, yaw]`, metres and radians.
+impl KnobValue for crate::geometry::Pose2 {
+    fn from_value(value: &Value) -> Result<Self, String> {
+        let numbers: Option<Vec<f64>> = value.as_array().and_then(|items| items.iter().map(Value::as_f64).collect());
+        match numbers.as_deref() {
+            Some(&[x, y, yaw]) if [x, y, yaw].iter().all(|v| v.is_finite()) => Ok(Self::new(x, y, yaw)),
+            _ => Err(expected(Self::kind(), value)),
+        }
+    }
+    fn to_value(&self) -> Value {
+        vec![self.x, self.y, self.theta].into()
+    }
+    fn kind() -> String {
+        "[x, y, yaw]".into()
+    }
+}
+
+/// The candidate nearest to a mistyped `name`, if one is near enough to be what was meant.
+pub fn nearest_name<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    candidates
+        .into_iter()
+        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
+        .filter(|(similarity, _)| *similarity > 0.7)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, candidate)| candidate)
+}
+
+/// Declares an enum that a knob can take by name.
+///
+/// ```
+/// anytime_scan_matcher::choices! {
+///     /// Side of the road.
+///     pub enum Side {
+///         /// Keep left.
+///         Left = "left",
+///         /// Keep right.
+///         Right = "right",
+///     }
+/// }
+/// assert_eq!(Side::Right.name(), "right");
+/// ```
+#[macro_export]
+macro_rules! choices {
+    ($(#[$attribute:meta])* pub enum $name:ident { $($(#[doc = $help:literal])* $variant:ident = $text:literal),+ $(,)? }) => {
+        $(#[$attribute])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum $name { $($(#[doc = $help])* $variant),+ }
+
+        impl $name {
+            /// Every choice, in declaration order.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),+];
+
+            /// The name of the choice in files and parameters.
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$variant => $text),+ }
+            }
+        }
+
+        impl $crate::knobs::KnobValue for $name {
+            fn from_value(value: &$crate::knobs::Value) -> Result<Self, String> {
+                Self::ALL
+                    .iter()
+                    .copied()
+                    .find(|choice| value.as_str() == Some(choice.name()))
+                    .ok_or_else(|| format!("expected {}, got {value}", <Self as $crate::knobs::KnobValue>::kind()))
+            }
+            fn to_value(&self) -> $crate::knobs::Value {
+                self.name().into()
+            }
+            fn kind() -> String {
+                [$($text),+].join(" | ")
+            }
+        }
+    };
+}
+
+/// Declares a struct of knobs.
+///
+/// ```
+/// use anytime_scan_matcher::knobs::KnobGroup;
+///
+/// anytime_scan_matcher::knobs! {
+///     /// How the wheels turn.
+///     pub struct WheelKnobs {
+///         /// Radius of a wheel.
+///         radius: f64 = 0.05, in 0.01 to 1, unit "m";
+///         /// Whether it has a brake.
+///         brake: bool = false;
+///     }
+/// }
+/// let mut knobs = WheelKnobs::default();
+/// assert_eq!(knobs.set("radius", &0.2.into()), Some(Ok(())));
+/// assert!(knobs.set("radius", &5.into()).unwrap().is_err());
+/// assert_eq!(knobs.set("raduis", &0.2.into()), None);
+/// ```
+#[macro_export]
+macro_rules! knobs {
+    ($(#[$attribute:meta])* pub struct $group:ident {
+        $($(#[doc = $help:literal])+ $name:ident : $kind:ty = $default:expr $(, in $low:literal to $high:literal)? $(, unit $unit:literal)? ;)+
+    }) => {
+        $(#[$attribute])*
+        #[derive(Clone, Debug, PartialEq)]
+        pub struct $group { $($(#[doc = $help])+ pub $name: $kind,)+ }
+
+        impl Default for $group {
+            fn default() -> Self {
+                Self { $($name: $default,)+ }
+            }
+        }
+
+        impl $crate::knobs::KnobGroup for $group {
+            fn table(&self) -> Vec<$crate::knobs::KnobInfo> {
+                let default = Self::default();
+                vec![$($crate::knobs::KnobInfo {
+                    name: stringify!($name),
+                    help: concat!($($help),+).trim(),
+                    unit: concat!("" $(, $unit)?),
+                    accepts: <$kind as $crate::knobs::KnobValue>::kind() + concat!("" $(, ", ", $low, " to ", $high)?),
+                    default: $crate::knobs::KnobValue::to_value(&default.$name),
+                }),+]
+            }
+
+            fn get(&self, name: &str) -> Option<$crate::knobs::Value> {
+                match name {
+                    $(stringify!($name) => Some($crate::knobs::KnobValue::to_value(&self.$name)),)+
+                    _ => None,
+                }
+            }
+
+            fn set(&mut self, name: &str, value: &$crate::knobs::Value) -> Option<Result<(), String>> {
+                match name {
+                    $(stringify!($name) => Some(<$kind as $crate::knobs::KnobValue>::from_value(value).and_then(|parsed| {
+                        $($crate::knobs::check_range($crate::knobs::KnobValue::number(&parsed), f64::from($low), f64::from($high))?;)?
+                        self.$name = parsed;
+                        Ok(())
+                    })),)+
+                    _ => None,
+                }
+            }
+        }
+    };
+}
+
+/// The range check of [`knobs!`](crate::knobs!).
+#[doc(hidden)]
+pub fn check_range(number: Option<f64>, low: f64, high: f64) -> Result<(), String> {
+    match number {
+        Some(number) if !(low..=high).contains(&number) => Err(format!("expected {low} to {high}, got {number}")),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,140 @@
+//! `geometry_msgs`.
+
+#![allow(missing_docs)] // the fields are those of the definitions under msg/
+
+use serde::{Deserialize, Serialize};
+
+use super::Message;
+
+/// `geometry_msgs/Point`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+}
+
+/// `geometry_msgs/Quaternion`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Quaternion {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+    pub w: f64,
+}
+
+/// `geometry_msgs/Vector3`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Vector3 {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+}
+
+/// `geometry_msgs/Pose`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    pub position: Point,
+    pub orientation: Quaternion,
+}
+
+/// `geometry_msgs/PoseStamped`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PoseStamped {
+    pub header: super::std_msgs::Header,
+    pub pose: Pose,
+}
+
+impl Message for PoseStamped {
+    const TYPE: &'static str = "geometry_msgs/PoseStamped";
+    const MD5: &'static str = "d3812c3cbc69362b77dc0b19b345f8f5";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("geometry_msgs/PoseStamped", include_str!("../../msg/geometry_msgs/msg/PoseStamped.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/Pose", include_str!("../../msg/geometry_msgs/msg/Pose.msg")),
+        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+    ];
+}
+
+/// `geometry_msgs/PoseWithCovariance`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PoseWithCovariance {
+    pub pose: Pose,
+    #[serde(with = "serde_big_array::BigArray")]
+    pub covariance: [f64; 36],
+}
+
+impl Default for PoseWithCovariance {
+    fn default() -> Self {
+        Self { pose: Pose::default(), covariance: [0.0; 36] }
+    }
+}
+
+/// `geometry_msgs/PoseWithCovarianceStamped`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PoseWithCovarianceStamped {
+    pub header: super::std_msgs::Header,
+    pub pose: PoseWithCovariance,
+}
+
+impl Message for PoseWithCovarianceStamped {
+    const TYPE: &'static str = "geometry_msgs/PoseWithCovarianceStamped";
+    const MD5: &'static str = "953b798c0f514ff060a53a3498ce6246";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("geometry_msgs/PoseWithCovarianceStamped", include_str!("../../msg/geometry_msgs/msg/PoseWithCovarianceStamped.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/PoseWithCovariance", include_str!("../../msg/geometry_msgs/msg/PoseWithCovariance.msg")),
+        ("geometry_msgs/Pose", include_str!("../../msg/geometry_msgs/msg/Pose.msg")),
+        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+    ];
+}
+
+/// `geometry_msgs/Twist`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Twist {
+    pub linear: Vector3,
+    pub angular: Vector3,
+}
+
+/// `geometry_msgs/TwistWithCovariance`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TwistWithCovariance {
+    pub twist: Twist,
+    #[serde(with = "serde_big_array::BigArray")]
+    pub covariance: [f64; 36],
+}
+
+impl Default for TwistWithCovariance {
+    fn default() -> Self {
+        Self { twist: Twist::default(), covariance: [0.0; 36] }
+    }
+}
+
+/// `geometry_msgs/Transform`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Transform {
+    pub translation: Vector3,
+    pub rotation: Quaternion,
+}
+
+/// `geometry_msgs/TransformStamped`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TransformStamped {
+    pub header: super::std_msgs::Header,
+    pub child_frame_id: String,
+    pub transform: Transform,
+}
+
+impl Message for TransformStamped {
+    const TYPE: &'static str = "geometry_msgs/TransformStamped";
+    const MD5: &'static str = "b5764a33bfeb3588febc2682852579b0";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("geometry_msgs/TransformStamped", include_str!("../../msg/geometry_msgs/msg/TransformStamped.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/Transform", include_str!("../../msg/geometry_msgs/msg/Transform.msg")),
+        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+    ];
+}

@@ -1,0 +1,109 @@
+//! The ROS messages this project reads and writes, and their wire form.
+//!
+//! One set of types serves bags and live connections alike, with or without the `ros` feature, so that both go through the same
+//! length-checked decoder. Field names are those of the definitions under `msg/`.
+
+pub mod geometry_msgs;
+pub mod nav_msgs;
+pub mod own;
+pub mod sensor_msgs;
+pub mod std_msgs;
+pub mod tf2_msgs;
+
+use std::fmt::Write as _;
+use std::io::Cursor;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::time::Stamp;
+
+/// A message type as bags and connections name it.
+pub trait Message {
+    /// `package/Name`.
+    const TYPE: &'static str;
+    /// Checksum of the definition, as ROS computes it.
+    const MD5: &'static str;
+    /// Type and text of the definition and of every type it is made of, itself first.
+    const DEFINITIONS: &'static [(&'static str, &'static str)];
+
+    /// The full definition as connections and bags carry it: the message's own text, then that of each type it is made of.
+    fn full_definition() -> String {
+        let mut text = String::new();
+        for (i, (name, definition)) in Self::DEFINITIONS.iter().enumerate() {
+            if i > 0 {
+                let _ = writeln!(text, "\n{}\nMSG: {name}", "=".repeat(80));
+            }
+            text.push_str(definition);
+        }
+        text
+    }
+}
+
+/// Bytes that are no message of the type they were said to be.
+#[derive(Clone, Debug, Error)]
+#[error("{len} bytes are not a {message_type}: {problem}")]
+pub struct DecodeError {
+    /// The type expected.
+    pub message_type: &'static str,
+    /// Number of bytes.
+    pub len: usize,
+    /// What does not fit.
+    pub problem: String,
+}
+
+/// Reads a message from its wire form. Lengths are checked against the bytes there are before memory is taken for them.
+pub fn decode<T: Message + for<'de> Deserialize<'de>>(bytes: &[u8]) -> Result<T, DecodeError> {
+    let error = |problem: String| DecodeError { message_type: T::TYPE, len: bytes.len(), problem };
+    let len = u32::try_from(bytes.len()).map_err(|e| error(e.to_string()))?;
+    let mut deserializer = roslibrust_serde_rosmsg::de::Deserializer::new(Cursor::new(bytes), len);
+    let message = T::deserialize(&mut deserializer).map_err(|e| error(e.to_string()))?;
+    if !deserializer.is_fully_read() {
+        return Err(error("there are bytes left over".into()));
+    }
+    Ok(message)
+}
+
+/// The wire form of a message.
+pub fn encode<T: Message + Serialize>(message: &T) -> Result<Vec<u8>, DecodeError> {
+    let error = |problem: String| DecodeError { message_type: T::TYPE, len: 0, problem };
+    let mut bytes = Vec::new();
+    message.serialize(&mut roslibrust_serde_rosmsg::ser::Serializer::new(&mut bytes)).map_err(|e| error(e.to_string()))?;
+    Ok(bytes)
+}
+
+/// A ROS `time`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct Time {
+    pub sec: u32,
+    pub nsec: u32,
+}
+
+impl From<Time> for Stamp {
+    fn from(time: Time) -> Self {
+        Self::from_ros(time.sec, time.nsec)
+    }
+}
+
+impl From<Stamp> for Time {
+    fn from(stamp: Stamp) -> Self {
+        let (sec, nsec) = stamp.to_ros();
+        Self { sec, nsec }
+    }
+}
+
+/// A ROS `duration`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct Duration {
+    pub sec: i32,
+    pub nsec: i32,
+}
+
+impl Duration {
+    /// The span in seconds.
+    pub fn seconds(self) -> f64 {
+        f64::from(self.sec) + f64::from(self.nsec) * 1e-9
+    }
+}

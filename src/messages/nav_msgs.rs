@@ -1,0 +1,32 @@
+//! `nav_msgs`.
+
+#![allow(missing_docs)] // the fields are those of the definitions under msg/
+
+use serde::{Deserialize, Serialize};
+
+use super::Message;
+
+/// `nav_msgs/Odometry`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Odometry {
+    pub header: super::std_msgs::Header,
+    pub child_frame_id: String,
+    pub pose: super::geometry_msgs::PoseWithCovariance,
+    pub twist: super::geometry_msgs::TwistWithCovariance,
+}
+
+impl Message for Odometry {
+    const TYPE: &'static str = "nav_msgs/Odometry";
+    const MD5: &'static str = "cd5e73d190d741a2f92e81eda573aca7";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("nav_msgs/Odometry", include_str!("../../msg/nav_msgs/msg/Odometry.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/PoseWithCovariance", include_str!("../../msg/geometry_msgs/msg/PoseWithCovariance.msg")),
+        ("geometry_msgs/Pose", include_str!("../../msg/geometry_msgs/msg/Pose.msg")),
+        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+        ("geometry_msgs/TwistWithCovariance", include_str!("../../msg/geometry_msgs/msg/TwistWithCovariance.msg")),
+        ("geometry_msgs/Twist", include_str!("../../msg/geometry_msgs/msg/Twist.msg")),
+        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
+    ];
+}

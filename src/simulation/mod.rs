@@ -1,0 +1,1 @@
+//! A simulated racecar: world, lidar, vehicle.
