@@ -1,0 +1,116 @@
+//! The time contract: answer within delta, with an error of at most epsilon.
+
+use std::time::Duration;
+
+use thiserror::Error;
+
+use crate::knobs::Seconds;
+
+crate::knobs! {
+    /// The contract in force until another one is given at run time.
+    pub struct ContractKnobs {
+        /// Time from a scan's arrival to its pose; 0: run to completion.
+        time_budget: Seconds = Seconds(0.0), in 0 to 60, unit "s";
+        /// Stop as soon as the estimated error of the position is below this; 0: no bound.
+        translation_error_bound: f64 = 0.0, in 0 to 100, unit "m";
+        /// Stop as soon as the estimated error of the heading is below this; 0: no bound.
+        rotation_error_bound: f64 = 0.0, in 0 to 4, unit "rad";
+    }
+}
+
+/// What the controller asks of every answer.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Contract {
+    /// Time from a scan's arrival to its pose; `None`: as long as it takes.
+    pub time_budget: Option<Duration>,
+    /// Error of the position that is good enough, m (one sigma).
+    pub translation_error_bound: Option<f64>,
+    /// Error of the heading that is good enough, rad (one sigma).
+    pub rotation_error_bound: Option<f64>,
+}
+
+/// Why a contract is refused.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[error(
+    "contract refused: {field} is {value}, it must be a finite number of {unit}, 0 (no limit) or more; the contract before stays in force"
+)]
+pub struct ContractError {
+    field: &'static str,
+    value: f64,
+    unit: &'static str,
+}
+
+impl Contract {
+    /// A contract from seconds, metres and radians; zero lifts a limit.
+    pub fn new(time_budget: f64, translation_error_bound: f64, rotation_error_bound: f64) -> Result<Self, ContractError> {
+        let limit = |field, value: f64, unit| {
+            if value.is_finite() && value >= 0.0 {
+                Ok((value > 0.0).then_some(value))
+            } else {
+                Err(ContractError { field, value, unit })
+            }
+        };
+        let time_budget = limit("time_budget", time_budget, "seconds")?
+            .map(|seconds| {
+                Duration::try_from_secs_f64(seconds).map_err(|_| ContractError {
+                    field: "time_budget",
+                    value: seconds,
+                    unit: "seconds",
+                })
+            })
+            .transpose()?;
+        Ok(Self {
+            time_budget,
+            translation_error_bound: limit("translation_error_bound", translation_error_bound, "metres")?,
+            rotation_error_bound: limit("rotation_error_bound", rotation_error_bound, "radians")?,
+        })
+    }
+
+    /// Whether an answer with these errors (one sigma, m and rad) is good enough to stop at. Never so without a bound.
+    pub fn is_satisfied_by(&self, translation_error: f64, rotation_error: f64) -> bool {
+        let within = |bound: Option<f64>, error: f64| bound.is_none_or(|bound| error <= bound);
+        self.has_error_bound()
+            && within(self.translation_error_bound, translation_error)
+            && within(self.rotation_error_bound, rotation_error)
+    }
+
+    /// Whether there is an error bound to stop at.
+    pub fn has_error_bound(&self) -> bool {
+        self.translation_error_bound.is_some() || self.rotation_error_bound.is_some()
+    }
+}
+
+impl TryFrom<&ContractKnobs> for Contract {
+    type Error = ContractError;
+
+    fn try_from(knobs: &ContractKnobs) -> Result<Self, ContractError> {
+        Self::new(knobs.time_budget.0, knobs.translation_error_bound, knobs.rotation_error_bound)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn zero_lifts_a_limit_and_nonsense_is_refused() {
+        assert_eq!(Contract::new(0.0, 0.0, 0.0), Ok(Contract::default()));
+        assert_eq!(Contract::new(0.005, 0.0, 0.0).unwrap().time_budget, Some(Duration::from_millis(5)));
+        for bad in [f64::NAN, f64::INFINITY, -1.0] {
+            assert!(
+                Contract::new(bad, 0.0, 0.0).is_err()
+                    && Contract::new(0.0, bad, 0.0).is_err()
+                    && Contract::new(0.0, 0.0, bad).is_err()
+            );
+        }
+        assert!(Contract::new(1e300, 0.0, 0.0).is_err());
+    }
+
+    #[test]
+    fn every_bound_that_is_set_must_hold() {
+        let both = Contract::new(0.0, 0.01, 0.01).unwrap();
+        assert!(both.is_satisfied_by(0.005, 0.005) && !both.is_satisfied_by(0.02, 0.005) && !both.is_satisfied_by(0.005, 0.02));
+        assert!(Contract::new(0.0, 0.01, 0.0).unwrap().is_satisfied_by(0.005, 1.0));
+        assert!(!Contract::default().is_satisfied_by(0.0, 0.0));
+    }
+}

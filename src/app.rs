@@ -1,0 +1,274 @@
+//! The application: messages in, estimates out. The node and the offline tool both drive this, so that a replay is what ran live.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use thiserror::Error;
+
+use crate::anytime::Task;
+use crate::anytime::clock::Clock;
+use crate::anytime::contract::{Contract, ContractError};
+use crate::config::Config;
+use crate::geometry::{Pose2, Twist2};
+use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
+use crate::messages::nav_msgs::Odometry;
+use crate::messages::own;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::tf2_msgs::TFMessage;
+use crate::odometry::wheel::WheelSample;
+use crate::odometry::{LaserOdometry, MatchedPoints, OdometryCounters, Registration};
+use crate::scan::ScanConverter;
+use crate::time::Stamp;
+use crate::transforms::{Mount, TransformTree, frame_name};
+
+/// A quaternion whose length is farther from 1 than this is a mistake of its sender, not rounding.
+const QUATERNION_TOLERANCE: f64 = 0.1;
+/// A mount that moves by less than this (m, rad) has not moved.
+const MOUNT_TOLERANCE: f64 = 1e-6;
+
+/// A message that cannot be used. The application goes on as if it had not come.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum InputError {
+    /// A pose holds NaN or infinities.
+    #[error("the pose has numbers that are not finite")]
+    PoseNotFinite,
+    /// A quaternion is no rotation.
+    #[error("the orientation's quaternion has length {length:.3}: it must be normalised")]
+    QuaternionNotNormalized {
+        /// Its length.
+        length: f64,
+    },
+    /// Transforms that are no rigid motions.
+    #[error("{count} transforms are no rigid motions (NaN, a zero quaternion, or a frame that is its own parent)")]
+    BadTransforms {
+        /// How many.
+        count: usize,
+    },
+    /// A contract that nobody could keep.
+    #[error(transparent)]
+    Contract(#[from] ContractError),
+}
+
+/// The answer to a scan.
+#[derive(Clone, Debug)]
+pub struct Estimate {
+    /// The scan's stamp.
+    pub stamp: Stamp,
+    /// Pose, covariance, velocity, and how they came about.
+    pub registration: Registration,
+    /// The contract that was in force.
+    pub contract: Contract,
+    /// Time from the scan's arrival to this answer.
+    pub elapsed: Duration,
+}
+
+impl Estimate {
+    /// Whether the answer is within the time budget; without one it always is.
+    pub fn deadline_met(&self) -> bool {
+        self.contract.time_budget.is_none_or(|budget| self.elapsed <= budget)
+    }
+}
+
+/// Events that are counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Scans answered.
+    pub scans: u64,
+    /// Scans that were malformed.
+    pub malformed_scans: u64,
+    /// Other messages that could not be used.
+    pub refused_messages: u64,
+    /// Answers later than the time budget.
+    pub deadline_misses: u64,
+}
+
+/// Where the laser's mount is known from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MountSource {
+    /// The parameter `odometry.laser_in_base`.
+    Parameter,
+    /// `/tf` or `/tf_static`.
+    Transforms,
+    /// Nowhere: taken to be at the base's origin.
+    Assumed,
+}
+
+/// Scan matching as a whole.
+pub struct App {
+    config: Config,
+    clock: Arc<dyn Clock>,
+    contract: Contract,
+    odometry: LaserOdometry,
+    converter: ScanConverter,
+    transforms: TransformTree,
+    mount: Mount,
+    mount_source: MountSource,
+    counters: Counters,
+}
+
+impl App {
+    /// An application with this configuration. Fails on a contract that is none.
+    pub fn new(config: &Config, clock: Arc<dyn Clock>) -> Result<Self, ContractError> {
+        let parameter = config.odometry.laser_in_base;
+        Ok(Self {
+            config: config.clone(),
+            clock,
+            contract: Contract::try_from(&config.contract)?,
+            odometry: LaserOdometry::new(&config.odometry, &config.matching, &config.rejection),
+            converter: ScanConverter::default(),
+            transforms: TransformTree::default(),
+            mount: Mount { base_from_laser: parameter.unwrap_or_default(), upside_down: false },
+            mount_source: if parameter.is_some() { MountSource::Parameter } else { MountSource::Assumed },
+            counters: Counters::default(),
+        })
+    }
+
+    /// Answers a scan that arrived when the clock read `arrival`. Always answers: for a scan that is unusable, with the prediction.
+    pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration) -> Estimate {
+        let stamp = message.header.stamp.into();
+        self.counters.scans += 1;
+        self.update_mount(&message.header.frame_id);
+        let task = Task { contract: self.contract, arrival };
+        let registration = match self.converter.convert(message, self.mount.upside_down) {
+            Ok(scan) => self.odometry.register(&scan, &self.mount.base_from_laser, &task, &*self.clock),
+            Err(error) => {
+                self.counters.malformed_scans += 1;
+                self.odometry.answer_unusable(stamp, format!("malformed scan: {error}"))
+            }
+        };
+        let elapsed = self.clock.now().saturating_sub(arrival);
+        let estimate = Estimate { stamp, registration, contract: self.contract, elapsed };
+        self.counters.deadline_misses += u64::from(!estimate.deadline_met());
+        estimate
+    }
+
+    /// Work that can wait until an answer is out. The next scan is answered sooner for it.
+    pub fn maintain(&mut self) {
+        self.odometry.maintain();
+    }
+
+    /// Takes wheel odometry.
+    pub fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
+        let pose = self.count_refused(planar_pose(&message.pose.pose))?;
+        self.odometry.add_wheel_sample(WheelSample {
+            stamp: message.header.stamp.into(),
+            pose,
+            twist: planar_twist(&message.twist.twist),
+        });
+        Ok(())
+    }
+
+    /// Takes transforms, static or not.
+    pub fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
+        let count = self.transforms.add(message);
+        self.count_refused(if count == 0 { Ok(()) } else { Err(InputError::BadTransforms { count }) })
+    }
+
+    /// Takes a contract; in force from the next scan on.
+    pub fn on_contract(&mut self, message: &own::Contract) -> Result<(), InputError> {
+        let contract =
+            Contract::new(message.time_budget.seconds(), message.translation_error_bound, message.rotation_error_bound);
+        self.contract = self.count_refused(contract.map_err(InputError::from))?;
+        Ok(())
+    }
+
+    /// Takes the pose of the base: the next scan is the first one, there.
+    pub fn on_initial_pose(&mut self, message: &PoseWithCovarianceStamped) -> Result<(), InputError> {
+        let pose = self.count_refused(planar_pose(&message.pose.pose))?;
+        self.odometry.restart_at(pose);
+        Ok(())
+    }
+
+    /// Starts again from the initial pose.
+    pub fn reset(&mut self) {
+        self.odometry.reset();
+    }
+
+    /// Whether to keep the matched points of each answer for [`Self::matched_points`].
+    pub fn set_keep_matched_points(&mut self, keep: bool) {
+        self.odometry.set_keep_matched_points(keep);
+    }
+
+    /// The matched points of the last answer, where it was a match and they were to be kept.
+    pub fn matched_points(&self) -> Option<&MatchedPoints> {
+        self.odometry.matched_points()
+    }
+
+    /// Place of the laser on the base, and where that is known from.
+    pub fn mount(&self) -> (Mount, MountSource) {
+        (self.mount, self.mount_source)
+    }
+
+    /// The transforms known.
+    pub fn transforms(&self) -> &TransformTree {
+        &self.transforms
+    }
+
+    /// The contract in force.
+    pub fn contract(&self) -> Contract {
+        self.contract
+    }
+
+    /// The configuration it was made with.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// Events counted so far.
+    pub fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    /// Events of the odometry counted so far.
+    pub fn odometry_counters(&self) -> &OdometryCounters {
+        self.odometry.counters()
+    }
+
+    fn count_refused<T>(&mut self, result: Result<T, InputError>) -> Result<T, InputError> {
+        self.counters.refused_messages += u64::from(result.is_err());
+        result
+    }
+
+    fn update_mount(&mut self, laser_frame: &str) {
+        if self.mount_source == MountSource::Parameter {
+            return;
+        }
+        let base_frame = &self.config.frames.base_frame;
+        let Some(mount) = self.transforms.mount(base_frame, laser_frame) else { return };
+        let known = frame_name(base_frame) == frame_name(laser_frame) || self.transforms.parent(laser_frame).is_some();
+        if known {
+            self.mount_source = MountSource::Transforms;
+        }
+        let motion = self.mount.base_from_laser.between(&mount.base_from_laser);
+        if motion.distance() > MOUNT_TOLERANCE
+            || motion.theta.abs() > MOUNT_TOLERANCE
+            || mount.upside_down != self.mount.upside_down
+        {
+            self.mount = mount;
+            self.odometry.forget_reference();
+        }
+    }
+}
+
+fn planar_pose(pose: &Pose) -> Result<Pose2, InputError> {
+    let yaw = yaw(&pose.orientation)?;
+    let planar = Pose2::new(pose.position.x, pose.position.y, yaw);
+    if planar.is_finite() { Ok(planar) } else { Err(InputError::PoseNotFinite) }
+}
+
+fn yaw(q: &Quaternion) -> Result<f64, InputError> {
+    let length = (q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w).sqrt();
+    if !length.is_finite() {
+        return Err(InputError::PoseNotFinite);
+    }
+    if (length - 1.0).abs() > QUATERNION_TOLERANCE {
+        return Err(InputError::QuaternionNotNormalized { length });
+    }
+    Ok((2.0 * (q.w * q.z + q.x * q.y)).atan2(q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z))
+}
+
+/// A twist of zeros says nothing: that is how drivers without velocities leave it, and a robot at rest needs none.
+fn planar_twist(twist: &Twist) -> Option<Twist2> {
+    let planar = Twist2 { vx: twist.linear.x, vy: twist.linear.y, omega: twist.angular.z };
+    (planar.is_finite() && planar != Twist2::default()).then_some(planar)
+}

@@ -1,0 +1,257 @@
+//! The configuration: every module's knobs under one roof.
+//!
+//! A knob is named by its path, `matching.max_iterations` in files and on the command line, `~matching/max_iterations` on the ROS
+//! parameter server. All ways in end in [`Config::set`].
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use thiserror::Error;
+
+use crate::anytime::contract::ContractKnobs;
+use crate::knobs::{KnobGroup, KnobInfo, Value, nearest_name};
+use crate::matching::MatchingKnobs;
+use crate::matching::rejection::RejectionKnobs;
+use crate::odometry::OdometryKnobs;
+
+crate::knobs! {
+    /// Frames.
+    pub struct FrameKnobs {
+        /// The frame the poses are given in.
+        odom_frame: String = "odom".into();
+        /// The robot's frame.
+        base_frame: String = "base_link".into();
+        /// Publish the transform from `odom_frame` to `base_frame`; held back while another node publishes a parent of `base_frame`.
+        publish_tf: bool = true;
+    }
+}
+
+/// Why a configuration is refused.
+#[derive(Debug, Error)]
+pub enum ConfigError {
+    /// There is no such knob.
+    #[error("{source_name}: there is no parameter '{path}'{hint}; the parameters are: {valid}")]
+    UnknownKnob {
+        /// Where it was set.
+        source_name: String,
+        /// Its path.
+        path: String,
+        /// The one that may have been meant.
+        hint: String,
+        /// Every path.
+        valid: String,
+    },
+    /// The value does not fit.
+    #[error("{source_name}: {path}: {problem}")]
+    BadValue {
+        /// Where it was set.
+        source_name: String,
+        /// The knob's path.
+        path: String,
+        /// What was expected and what was found.
+        problem: String,
+    },
+    /// The file could not be read.
+    #[error("cannot read the configuration {path}: {error}")]
+    Unreadable {
+        /// The file.
+        path: String,
+        /// The system's reason.
+        error: std::io::Error,
+    },
+    /// The text is no YAML mapping.
+    #[error("{source_name}: {problem}")]
+    BadYaml {
+        /// Where the text is from.
+        source_name: String,
+        /// What is wrong, with its line.
+        problem: String,
+    },
+    /// An assignment on the command line has no `=`.
+    #[error("--set {text}: expected NAME=VALUE, such as matching.max_iterations=8")]
+    BadAssignment {
+        /// The text.
+        text: String,
+    },
+}
+
+/// All knobs.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Config {
+    /// Frames; these knobs have no prefix.
+    pub frames: FrameKnobs,
+    /// `contract.*`
+    pub contract: ContractKnobs,
+    /// `odometry.*`
+    pub odometry: OdometryKnobs,
+    /// `matching.*`
+    pub matching: MatchingKnobs,
+    /// `rejection.*`
+    pub rejection: RejectionKnobs,
+}
+
+impl Config {
+    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 5] {
+        [
+            ("", &self.frames),
+            ("contract", &self.contract),
+            ("odometry", &self.odometry),
+            ("matching", &self.matching),
+            ("rejection", &self.rejection),
+        ]
+    }
+
+    fn group_mut(&mut self, name: &str) -> Option<&mut dyn KnobGroup> {
+        match name {
+            "" => Some(&mut self.frames),
+            "contract" => Some(&mut self.contract),
+            "odometry" => Some(&mut self.odometry),
+            "matching" => Some(&mut self.matching),
+            "rejection" => Some(&mut self.rejection),
+            _ => None,
+        }
+    }
+
+    /// Path and description of every knob.
+    pub fn table(&self) -> Vec<(String, KnobInfo)> {
+        let in_group = |(group, knobs): (&str, &dyn KnobGroup)| {
+            let path = move |knob: &KnobInfo| if group.is_empty() { knob.name.into() } else { format!("{group}.{}", knob.name) };
+            knobs.table().into_iter().map(|knob| (path(&knob), knob)).collect::<Vec<_>>()
+        };
+        self.groups().into_iter().flat_map(in_group).collect()
+    }
+
+    /// Sets one knob. `source_name` says in errors where the value comes from.
+    pub fn set(&mut self, path: &str, value: &Value, source_name: &str) -> Result<(), ConfigError> {
+        let (group, name) = path.rsplit_once('.').unwrap_or(("", path));
+        match self.group_mut(group).and_then(|knobs| knobs.set(name, value)) {
+            Some(Ok(())) => Ok(()),
+            Some(Err(problem)) => Err(ConfigError::BadValue { source_name: source_name.into(), path: path.into(), problem }),
+            None => Err(self.unknown_knob(path, source_name)),
+        }
+    }
+
+    fn unknown_knob(&self, path: &str, source_name: &str) -> ConfigError {
+        let paths: Vec<String> = self.table().into_iter().map(|(path, _)| path).collect();
+        let hint = nearest_name(path, paths.iter().map(String::as_str))
+            .map_or_else(String::new, |near| format!(" (did you mean '{near}'?)"));
+        ConfigError::UnknownKnob { source_name: source_name.into(), path: path.into(), hint, valid: paths.join(", ") }
+    }
+
+    /// Sets every knob of a tree of mappings, such as a YAML document or the private parameters of a node.
+    pub fn set_tree(&mut self, tree: &Value, source_name: &str) -> Result<(), ConfigError> {
+        match tree {
+            Value::Null => Ok(()),
+            Value::Object(_) => self.set_subtree("", tree, source_name),
+            _ => {
+                Err(ConfigError::BadYaml { source_name: source_name.into(), problem: "expected a mapping of parameters".into() })
+            }
+        }
+    }
+
+    fn set_subtree(&mut self, prefix: &str, tree: &Value, source_name: &str) -> Result<(), ConfigError> {
+        let Value::Object(entries) = tree else { return self.set(prefix, tree, source_name) };
+        for (name, value) in entries {
+            let path = if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
+            self.set_subtree(&path, value, source_name)?;
+        }
+        Ok(())
+    }
+
+    /// Sets the knobs of a YAML text.
+    pub fn set_yaml(&mut self, text: &str, source_name: &str) -> Result<(), ConfigError> {
+        self.set_tree(&parse_yaml(text, source_name)?, source_name)
+    }
+
+    /// Sets the knobs of a YAML file.
+    pub fn set_file(&mut self, path: &Path) -> Result<(), ConfigError> {
+        let name = path.display().to_string();
+        let text = std::fs::read_to_string(path).map_err(|error| ConfigError::Unreadable { path: name.clone(), error })?;
+        self.set_yaml(&text, &name)
+    }
+
+    /// Sets one knob from `NAME=VALUE`, the value in YAML.
+    pub fn set_assignment(&mut self, text: &str) -> Result<(), ConfigError> {
+        let (path, value) = text.split_once('=').ok_or_else(|| ConfigError::BadAssignment { text: text.into() })?;
+        let source_name = format!("--set {text}");
+        self.set(path.trim(), &parse_yaml(value.trim(), &source_name)?, &source_name)
+    }
+
+    /// The table of parameters for people, in Markdown.
+    pub fn markdown_table(&self) -> String {
+        let mut text = String::from("| parameter | default | takes | unit | what |\n|---|---|---|---|---|\n");
+        for (path, knob) in self.table() {
+            let default = if knob.default.is_null() { "unset".into() } else { knob.default.to_string() };
+            let takes = knob.accepts.replace('|', "\\|");
+            let _ = writeln!(text, "| `{path}` | `{default}` | {takes} | {} | {} |", knob.unit, knob.help);
+        }
+        text
+    }
+}
+
+fn parse_yaml(text: &str, source_name: &str) -> Result<Value, ConfigError> {
+    if text.trim().is_empty() {
+        return Ok(Value::Null);
+    }
+    serde_saphyr::from_str(text)
+        .map_err(|error| ConfigError::BadYaml { source_name: source_name.into(), problem: format!("this is not YAML: {error}") })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Pose2;
+    use crate::matching::solver::SolverKind;
+
+    #[test]
+    fn every_way_in_sets_the_same_knobs() {
+        let mut by_yaml = Config::default();
+        by_yaml
+            .set_yaml("base_frame: car\nmatching:\n  solver: linearized\n  max_correspondence_distance: 1\ncontract: {time_budget: 5ms}\nodometry:\n  laser_in_base: [0.275, 0, 0]\n", "x.yaml")
+            .unwrap();
+        let mut by_assignment = Config::default();
+        for text in [
+            "base_frame=car",
+            "matching.solver=linearized",
+            "matching.max_correspondence_distance=1",
+            "contract.time_budget=0.005",
+            "odometry.laser_in_base=[0.275, 0, 0]",
+        ] {
+            by_assignment.set_assignment(text).unwrap();
+        }
+        assert_eq!(by_yaml, by_assignment);
+        assert_eq!(by_yaml.matching.solver, SolverKind::Linearized);
+        assert_eq!(by_yaml.odometry.laser_in_base, Some(Pose2::new(0.275, 0.0, 0.0)));
+    }
+
+    #[test]
+    fn mistakes_are_named_with_their_remedy() {
+        let mut config = Config::default();
+        let message = |result: Result<(), ConfigError>| result.unwrap_err().to_string();
+        let typo = message(config.set_yaml("matching:\n  max_iteration: 3\n", "car.yaml"));
+        assert!(
+            typo.contains("car.yaml")
+                && typo.contains("did you mean 'matching.max_iterations'?")
+                && typo.contains("odometry.reference"),
+            "{typo}"
+        );
+        let range = message(config.set_assignment("matching.max_iterations=0"));
+        assert!(range.contains("matching.max_iterations") && range.contains("1 to 1000, got 0"), "{range}");
+        let kind = message(config.set_assignment("matching.solver=newton"));
+        assert!(kind.contains("point_to_line | point_to_point"), "{kind}");
+        assert!(message(config.set_assignment("matching.max_iterations")).contains("NAME=VALUE"));
+        assert!(message(config.set_yaml("a: [", "car.yaml")).contains("not YAML"));
+        assert!(message(config.set_yaml("- a\n", "car.yaml")).contains("mapping"));
+        assert!(message(config.set_file(Path::new("no/such.yaml"))).contains("no/such.yaml"));
+        assert_eq!(config, Config::default());
+    }
+
+    #[test]
+    fn the_defaults_are_within_their_own_ranges() {
+        let mut config = Config::default();
+        for (path, knob) in Config::default().table() {
+            config.set(&path, &knob.default, "defaults").unwrap();
+        }
+        assert_eq!(config, Config::default());
+    }
+}

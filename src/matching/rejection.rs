@@ -1,0 +1,126 @@
+//! Which correspondences to leave out of a step. Everything here is linear in their number.
+
+use super::correspondence::Nearest;
+
+/// A sensed point with its partner in the reference scan.
+#[derive(Clone, Copy, Debug)]
+pub struct Pair {
+    /// Index of the sensed point.
+    pub sensed: u32,
+    /// Index of the nearest reference ray.
+    pub ray: u32,
+    /// Index of the reference segment: its first ray.
+    pub segment: u32,
+    /// Squared error of the pair in the metric of the solver, m^2.
+    pub squared_error: f64,
+}
+
+crate::knobs! {
+    /// Which correspondences are left out.
+    pub struct RejectionKnobs {
+        /// Of several sensed points on one reference point, keep the nearest only.
+        remove_duplicates: bool = true;
+        /// Part of the correspondences to keep, smallest errors first (trimming).
+        trim_percentile: f64 = 0.95, in 0.1 to 1;
+        /// Adaptive trimming: the error at this percentile, times `adaptive_multiplier`, is the largest allowed.
+        adaptive_percentile: f64 = 0.7, in 0.1 to 1;
+        /// See `adaptive_percentile`.
+        adaptive_multiplier: f64 = 4.0, in 1 to 1000;
+    }
+}
+
+/// Working memory of the rejection.
+#[derive(Debug, Default)]
+pub(super) struct Rejection {
+    knobs: RejectionKnobs,
+    nearest_of_ray: Vec<f64>,
+    errors: Vec<f64>,
+}
+
+impl Rejection {
+    pub(super) fn new(knobs: RejectionKnobs) -> Self {
+        Self { knobs, ..Self::default() }
+    }
+
+    /// Removes from `pairs` what must not take part. `nearest` gives the point distances by sensed point.
+    pub(super) fn apply(&mut self, pairs: &mut Vec<Pair>, nearest: &[Nearest], reference_rays: usize) {
+        if self.knobs.remove_duplicates {
+            self.remove_duplicates(pairs, nearest, reference_rays);
+        }
+        self.trim(pairs);
+    }
+
+    fn remove_duplicates(&mut self, pairs: &mut Vec<Pair>, nearest: &[Nearest], reference_rays: usize) {
+        let distance = |pair: &Pair| nearest[pair.sensed as usize].squared_distance;
+        self.nearest_of_ray.clear();
+        self.nearest_of_ray.resize(reference_rays, f64::INFINITY);
+        for pair in &*pairs {
+            let least = &mut self.nearest_of_ray[pair.ray as usize];
+            *least = least.min(distance(pair));
+        }
+        pairs.retain(|pair| distance(pair) <= self.nearest_of_ray[pair.ray as usize]);
+    }
+
+    fn trim(&mut self, pairs: &mut Vec<Pair>) {
+        if pairs.is_empty() {
+            return;
+        }
+        self.errors.clear();
+        self.errors.extend(pairs.iter().map(|pair| pair.squared_error));
+        let multiplier = self.knobs.adaptive_multiplier * self.knobs.adaptive_multiplier;
+        let trimmed = percentile(&mut self.errors, self.knobs.trim_percentile);
+        let adaptive = multiplier * percentile(&mut self.errors, self.knobs.adaptive_percentile);
+        let limit = trimmed.min(adaptive);
+        pairs.retain(|pair| pair.squared_error <= limit);
+    }
+}
+
+/// The value that `fraction` of the values do not exceed. Reorders them.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a fraction of a length
+fn percentile(values: &mut [f64], fraction: f64) -> f64 {
+    let index = ((values.len() as f64 * fraction).ceil() as usize).clamp(1, values.len()) - 1;
+    *values.select_nth_unstable_by(index, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pair(sensed: u32, ray: u32, squared_error: f64) -> Pair {
+        Pair { sensed, ray, segment: ray, squared_error }
+    }
+
+    fn kept(knobs: RejectionKnobs, pairs: &[Pair]) -> Vec<u32> {
+        let nearest: Vec<_> = pairs.iter().map(|p| Nearest { ray: p.ray, squared_distance: p.squared_error }).collect();
+        let mut pairs = pairs.to_vec();
+        Rejection::new(knobs).apply(&mut pairs, &nearest, 100);
+        pairs.iter().map(|p| p.sensed).collect()
+    }
+
+    #[test]
+    fn of_duplicates_the_nearest_stays() {
+        let knobs = RejectionKnobs { trim_percentile: 1.0, adaptive_multiplier: 1000.0, ..RejectionKnobs::default() };
+        let pairs = [pair(0, 7, 0.3), pair(1, 7, 0.1), pair(2, 8, 0.2)];
+        assert_eq!(kept(knobs.clone(), &pairs), [1, 2]);
+        assert_eq!(kept(RejectionKnobs { remove_duplicates: false, ..knobs }, &pairs), [0, 1, 2]);
+    }
+
+    #[test]
+    fn trimming_keeps_the_percentile() {
+        let knobs = RejectionKnobs { trim_percentile: 0.9, adaptive_multiplier: 1000.0, ..RejectionKnobs::default() };
+        let pairs: Vec<_> = (0..20).map(|i| pair(i, i, f64::from(20 - i))).collect();
+        assert_eq!(kept(knobs, &pairs), (2..20).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn the_adaptive_limit_takes_out_what_the_bulk_rules_out() {
+        let knobs = RejectionKnobs {
+            trim_percentile: 1.0,
+            adaptive_percentile: 0.5,
+            adaptive_multiplier: 2.0,
+            ..RejectionKnobs::default()
+        };
+        let pairs: Vec<_> = [1.0, 1.0, 1.0, 3.9, 4.1].iter().enumerate().map(|(i, &e)| pair(i as u32, i as u32, e)).collect();
+        assert_eq!(kept(knobs, &pairs), [0, 1, 2, 3]);
+    }
+}

@@ -1,0 +1,144 @@
+//! The pose that fits the pairs best.
+//!
+//! One pass over the pairs gathers their summed squared error as a [`QuadraticForm`] of `(x, y, cos, sin)`; each solver is a way
+//! to minimise that form, of constant cost whatever the number of pairs.
+//!
+//! To add a solver: a file with a type that implements [`Solver`], a variant in [`SolverKind`] and a line in [`SolverKind::solver`].
+
+mod levenberg_marquardt;
+mod linearized;
+mod point_to_line;
+mod point_to_point;
+
+use nalgebra::{Matrix2, Matrix3, Matrix4, Matrix4x3, Vector3, Vector4};
+
+use crate::geometry::{Point, Pose2};
+
+/// What the error of a pair is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Metric {
+    /// Distance of the sensed point from the reference segment's line.
+    PointToLine,
+    /// Distance of the sensed point from the reference point.
+    PointToPoint,
+}
+
+/// A way to minimise a [`QuadraticForm`] over poses.
+pub trait Solver: Send {
+    /// The error this solver is for.
+    fn metric(&self) -> Metric;
+
+    /// The minimising pose. `prior` decides what the pairs leave open; iterative solvers start there. `None`: no finite answer.
+    fn solve(&self, form: &QuadraticForm, prior: &Pose2) -> Option<Pose2>;
+}
+
+crate::choices! {
+    /// The solvers there are.
+    pub enum SolverKind {
+        /// Point-to-line error, global minimum in closed form (Censi 2008).
+        PointToLine = "point_to_line",
+        /// Point-to-point error, global minimum in closed form (Lu and Milios 1997).
+        PointToPoint = "point_to_point",
+        /// Point-to-line error, nonlinear least squares.
+        LevenbergMarquardt = "levenberg_marquardt",
+        /// Point-to-line error, one step of linear least squares.
+        Linearized = "linearized",
+    }
+}
+
+impl SolverKind {
+    /// A solver of this kind.
+    pub fn solver(self) -> Box<dyn Solver> {
+        match self {
+            Self::PointToLine => Box::new(point_to_line::PointToLine),
+            Self::PointToPoint => Box::new(point_to_point::PointToPoint),
+            Self::LevenbergMarquardt => Box::new(levenberg_marquardt::LevenbergMarquardt),
+            Self::Linearized => Box::new(linearized::Linearized),
+        }
+    }
+}
+
+/// The sum over pairs of `(R p + t - q)' C (R p + t - q)` as a function of `x = (t, cos, sin)`: `x' M x + g' x + c` (Censi 2008, section III).
+#[derive(Clone, Copy, Debug)]
+pub struct QuadraticForm {
+    matrix: Matrix4<f64>,
+    gradient: Vector4<f64>,
+    constant: f64,
+}
+
+impl Default for QuadraticForm {
+    fn default() -> Self {
+        Self { matrix: Matrix4::zeros(), gradient: Vector4::zeros(), constant: 0.0 }
+    }
+}
+
+impl QuadraticForm {
+    /// Adds `weight` times the squared distance of the moved point `p` from the line `normal . x = offset`.
+    #[inline]
+    pub fn add_line(&mut self, p: Point, normal: Point, offset: f64, weight: f64) {
+        // The distance is a'x - offset, with a = M_i' n.
+        let a = Vector4::new(normal.x, normal.y, normal.dot(&p), normal.y * p.x - normal.x * p.y);
+        let weighted = weight * a;
+        self.matrix += weighted * a.transpose();
+        self.gradient -= 2.0 * offset * weighted;
+        self.constant += weight * offset * offset;
+    }
+
+    /// Adds `(R p + t - q)' C (R p + t - q)` for a symmetric C.
+    pub fn add(&mut self, p: Point, q: Point, c: &Matrix2<f64>) {
+        let m = nalgebra::Matrix2x4::new(1.0, 0.0, p.x, -p.y, 0.0, 1.0, p.y, p.x);
+        let weighted = c * m;
+        self.matrix += m.transpose() * weighted;
+        self.gradient -= 2.0 * weighted.transpose() * q;
+        self.constant += q.dot(&(c * q));
+    }
+
+    /// The sum at a pose. Rounding can take it a little below zero.
+    pub fn value(&self, pose: &Pose2) -> f64 {
+        let x = lift(pose);
+        x.dot(&(self.matrix * x)) + self.gradient.dot(&x) + self.constant
+    }
+
+    /// Gradient and Gauss-Newton approximation of the Hessian of the sum, in (x, y, heading), at a pose.
+    pub fn linearize(&self, pose: &Pose2) -> (Vector3<f64>, Matrix3<f64>) {
+        let (sin, cos) = pose.theta.sin_cos();
+        #[rustfmt::skip]
+        let tangent = Matrix4x3::new(
+            1.0, 0.0, 0.0,
+            0.0, 1.0, 0.0,
+            0.0, 0.0, -sin,
+            0.0, 0.0, cos,
+        );
+        let gradient = 2.0 * self.matrix * lift(pose) + self.gradient;
+        (tangent.transpose() * gradient, 2.0 * tangent.transpose() * self.matrix * tangent)
+    }
+
+    fn translation_block(&self) -> Matrix2<f64> {
+        2.0 * self.matrix.fixed_view::<2, 2>(0, 0)
+    }
+
+    fn coupling_block(&self) -> Matrix2<f64> {
+        2.0 * self.matrix.fixed_view::<2, 2>(0, 2)
+    }
+
+    fn rotation_block(&self) -> Matrix2<f64> {
+        2.0 * self.matrix.fixed_view::<2, 2>(2, 2)
+    }
+
+    fn translation_gradient(&self) -> Point {
+        self.gradient.fixed_rows::<2>(0).into()
+    }
+
+    fn rotation_gradient(&self) -> Point {
+        self.gradient.fixed_rows::<2>(2).into()
+    }
+}
+
+fn lift(pose: &Pose2) -> Vector4<f64> {
+    let (sin, cos) = pose.theta.sin_cos();
+    Vector4::new(pose.x, pose.y, cos, sin)
+}
+
+fn finite(pose: Pose2) -> Option<Pose2> {
+    pose.is_finite().then_some(pose)
+}

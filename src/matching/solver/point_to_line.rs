@@ -1,0 +1,137 @@
+//! Closed-form minimum of the point-to-line error by Lagrange multipliers (Censi 2008, section III).
+//!
+//! Minimise `x' M x + g' x` over `x = (t, u)` with `|u| = 1`. With `2M = [A B; B' D]`, the translation `t = -A^-1 (g1 + B u)` drops
+//! out and leaves, with `S = D - B' A^-1 B`, `h = g2 - B' A^-1 g1` and the multiplier s:
+//!
+//! `(S + s I) u = -h`, and `|u| = 1` is a quartic in s.
+//!
+//! The global minimum belongs to its *largest* real root, the one that makes `S + s I` positive semidefinite. In the eigenbasis of
+//! S the quartic reads `sum h_i^2 / (mu_i + s)^2 = 1`: the form that is solved here, because near-degenerate problems cost the
+//! expanded polynomial its digits.
+
+use nalgebra::Matrix2;
+
+use super::{Metric, QuadraticForm, Solver, finite};
+use crate::geometry::{Point, Pose2, perpendicular};
+
+/// Below this ratio of eigenvalues a direction counts as not seen at all: it holds rounding only.
+const RANK_TOLERANCE: f64 = 1e-13;
+
+/// Newton steps at most; the most ever needed in thousands of random problems is 10.
+const MAX_NEWTON_STEPS: usize = 30;
+
+#[derive(Debug)]
+pub(super) struct PointToLine;
+
+impl Solver for PointToLine {
+    fn metric(&self) -> Metric {
+        Metric::PointToLine
+    }
+
+    fn solve(&self, form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
+        let translation = PseudoInverse::of(&form.translation_block())?;
+        let (a_inverse, b) = (translation.inverse, form.coupling_block());
+        let (g1, g2) = (form.translation_gradient(), form.rotation_gradient());
+        let s = form.rotation_block() - b.transpose() * a_inverse * b;
+        let h = g2 - b.transpose() * a_inverse * g1;
+        let (sin, cos) = prior.theta.sin_cos();
+        let u = unit_minimizer(&s, h, Point::new(cos, sin))?;
+        let t = -(a_inverse * (g1 + b * u)) + translation.null_space * prior.translation();
+        finite(Pose2::new(t.x, t.y, u.y.atan2(u.x)))
+    }
+}
+
+/// Pseudo-inverse of a symmetric positive semidefinite matrix, and the projection on what it leaves open.
+struct PseudoInverse {
+    inverse: Matrix2<f64>,
+    null_space: Matrix2<f64>,
+}
+
+impl PseudoInverse {
+    fn of(matrix: &Matrix2<f64>) -> Option<Self> {
+        let eigen = SymmetricEigen::of(matrix);
+        let largest = eigen.values.y;
+        if !(largest.is_finite() && largest > 0.0) {
+            return None;
+        }
+        let mut inverse = eigen.major * eigen.major.transpose() / largest;
+        let minor = eigen.minor * eigen.minor.transpose();
+        if eigen.values.x > RANK_TOLERANCE * largest {
+            inverse += minor / eigen.values.x;
+            return Some(Self { inverse, null_space: Matrix2::zeros() });
+        }
+        Some(Self { inverse, null_space: minor })
+    }
+}
+
+/// Eigenvalues (smaller first) and unit eigenvectors of a symmetric 2x2 matrix.
+struct SymmetricEigen {
+    values: Point,
+    minor: Point,
+    major: Point,
+}
+
+impl SymmetricEigen {
+    fn of(matrix: &Matrix2<f64>) -> Self {
+        let half_difference = 0.5 * (matrix.m11 - matrix.m22);
+        let mean = 0.5 * (matrix.m11 + matrix.m22);
+        let radius = half_difference.hypot(matrix.m12);
+        let angle = 0.5 * matrix.m12.atan2(half_difference);
+        let major = Point::new(angle.cos(), angle.sin());
+        let larger = mean + radius;
+        // The smaller one from the determinant: mean - radius would be rounding for near-singular matrices.
+        let smaller = if larger == 0.0 { 0.0 } else { matrix.determinant() / larger };
+        let smaller = if mean >= 0.0 { smaller } else { mean - radius };
+        Self { values: Point::new(smaller, larger), minor: perpendicular(major), major }
+    }
+}
+
+/// The unit vector u that minimises `u' S u / 2 + h' u`; where two do, or all, the one nearest to `prior`.
+fn unit_minimizer(s: &Matrix2<f64>, h: Point, prior: Point) -> Option<Point> {
+    let eigen = SymmetricEigen::of(s);
+    let (mu, h_minor, h_major) = (eigen.values, h.dot(&eigen.minor), h.dot(&eigen.major));
+    let scale = mu.x.abs().max(mu.y.abs()).max(h.norm());
+    if !scale.is_finite() {
+        return None;
+    }
+    let from_eigenbasis = |minor: f64, major: f64| eigen.minor * minor + eigen.major * major;
+    if h.norm() <= RANK_TOLERANCE * scale && mu.y - mu.x <= RANK_TOLERANCE * scale {
+        return Some(prior);
+    }
+    if h_minor.abs() <= RANK_TOLERANCE * scale {
+        let major = -h_major / (mu.y - mu.x);
+        if major.abs() < 1.0 {
+            // The multiplier is at the pole -mu_min: two equal minima.
+            let minor = (1.0 - major * major).sqrt();
+            let (one, other) = (from_eigenbasis(minor, major), from_eigenbasis(-minor, major));
+            return Some(if one.dot(&prior) >= other.dot(&prior) { one } else { other });
+        }
+    }
+    let multiplier = largest_root(mu, Point::new(h_minor, h_major));
+    let u = from_eigenbasis(-ratio(h_minor, mu.x + multiplier), -ratio(h_major, mu.y + multiplier));
+    u.try_normalize(0.0)
+}
+
+/// The largest s with `sum h_i^2 / (mu_i + s)^2 = 1`, `mu.x <= mu.y`: Newton on `(sum)^(-1/2) - 1`, which is nearly linear in s.
+fn largest_root(mu: Point, h: Point) -> f64 {
+    let low = (h.x.abs() - mu.x).max(h.y.abs() - mu.y);
+    let high = h.norm() - mu.x;
+    let mut s = low;
+    for _ in 0..MAX_NEWTON_STEPS {
+        let (r1, r2) = (ratio(h.x, mu.x + s), ratio(h.y, mu.y + s));
+        let sum = r1 * r1 + r2 * r2;
+        let slope = ratio(r1 * r1, mu.x + s) + ratio(r2 * r2, mu.y + s);
+        let step = sum * (sum.sqrt() - 1.0) / slope;
+        let next = (s + step).clamp(low, high);
+        if (next - s).abs() <= f64::EPSILON * (s.abs() + mu.y.abs()) {
+            return next;
+        }
+        s = next;
+    }
+    s
+}
+
+/// A component without a gradient takes no part, even at its pole.
+fn ratio(numerator: f64, denominator: f64) -> f64 {
+    if numerator == 0.0 { 0.0 } else { numerator / denominator }
+}

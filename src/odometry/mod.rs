@@ -1,0 +1,486 @@
+//! Laser odometry: predict, match, keep the reference up to date.
+//!
+//! [`LaserOdometry::register`] is the whole of it. Frames: `odom` is where the poses are given, `base` is the robot, `laser` the
+//! sensor, and the keyframe is the reference scan's laser.
+
+pub mod uncertainty;
+pub mod wheel;
+
+use crate::anytime::clock::Clock;
+use crate::anytime::{ErrorEstimate, Task, drive};
+use crate::geometry::{Point, Pose2, PoseCovariance, Twist2};
+use crate::matching::rejection::RejectionKnobs;
+use crate::matching::{Matcher, MatchingKnobs, Refinement, StopReason};
+use crate::scan::Scan;
+use crate::time::Stamp;
+use wheel::{WheelEvent, WheelOdometry, WheelSample};
+
+/// Stamps that go back farther than this start a new run (a bag played in a loop); less is a scan out of order, s.
+const NEW_RUN: f64 = 1.0;
+/// A constant velocity predicts over gaps up to this, s.
+const MAX_PREDICTION_GAP: f64 = 1.0;
+
+crate::choices! {
+    /// The scan that is matched to.
+    pub enum ReferenceChoice {
+        /// The scan before.
+        Previous = "previous",
+        /// The last keyframe.
+        Keyframe = "keyframe",
+    }
+}
+
+crate::knobs! {
+    /// From matches to a trajectory.
+    pub struct OdometryKnobs {
+        /// What a scan is matched to: the scan before, or the last keyframe.
+        reference: ReferenceChoice = ReferenceChoice::Keyframe;
+        /// A new keyframe after this way.
+        keyframe_distance: f64 = 0.3, in 0 to 100, unit "m";
+        /// A new keyframe after this turn.
+        keyframe_angle: f64 = 0.26, in 0 to 4, unit "rad";
+        /// Pose of the laser in the base frame, `[x, y, yaw]`; unset: from `/tf` or `/tf_static`, else the identity, with a warning.
+        laser_in_base: Option<Pose2> = None, unit "m, m, rad";
+        /// Pose of the base at the start, `[x, y, yaw]` in the odom frame.
+        initial_pose: Pose2 = Pose2::IDENTITY, unit "m, m, rad";
+        /// A match that corrects the prediction by more than this is not believed.
+        max_correction_distance: f64 = 1.0, in 0.01 to 100, unit "m";
+        /// A match that turns the prediction by more than this is not believed.
+        max_correction_angle: f64 = 0.8, in 0.01 to 4, unit "rad";
+    }
+}
+
+/// How an answer came about.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// By a match.
+    Matched,
+    /// First scan of a run: the pose is the one the run starts at.
+    First,
+    /// There was no match to be had; the pose is the prediction. Why, in words.
+    Predicted(String),
+}
+
+impl Outcome {
+    /// Whether the pose is to be relied on.
+    pub fn is_ok(&self) -> bool {
+        !matches!(self, Self::Predicted(_))
+    }
+}
+
+/// The answer to one scan.
+#[derive(Clone, Debug)]
+pub struct Registration {
+    /// How the answer came about.
+    pub outcome: Outcome,
+    /// Pose of the base.
+    pub odom_from_base: Pose2,
+    /// Its covariance in the odom frame: grows along the way, as an odometry's does.
+    pub covariance: PoseCovariance,
+    /// Velocity of the base, in the base frame.
+    pub twist: Twist2,
+    /// Covariance of the velocity, in the base frame.
+    pub twist_covariance: PoseCovariance,
+    /// What the refinement did; `None` when there was none.
+    pub refinement: Option<RefinementReport>,
+    /// Error of the first guess.
+    pub predicted_error: ErrorEstimate,
+    /// Error of this answer in itself, not of the way up to here.
+    pub estimated_error: ErrorEstimate,
+    /// Whether the scan becomes the reference of the next ones.
+    pub new_keyframe: bool,
+}
+
+/// What a refinement did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RefinementReport {
+    /// What ended it.
+    pub stop_reason: StopReason,
+    /// Iterations made.
+    pub iterations: u32,
+    /// Sensed rays that carry a measurement.
+    pub rays: u32,
+    /// Sensed rays with a partner.
+    pub correspondences: u32,
+    /// Of those, the ones that fixed the pose.
+    pub inliers: u32,
+    /// Mean absolute error of the inliers, m.
+    pub mean_residual: f64,
+    /// Of the information matrix; infinite where a direction is left open.
+    pub condition_number: f64,
+}
+
+/// Matched points for display: sensed points moved to their place and their reference points, in the odom frame, m.
+#[derive(Clone, Debug, Default)]
+pub struct MatchedPoints {
+    /// All points of the reference scan.
+    pub reference: Vec<Point>,
+    /// Sensed point and its partner.
+    pub pairs: Vec<(Point, Point)>,
+}
+
+/// Events that are counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OdometryCounters {
+    /// Keyframes so far.
+    pub keyframes: u64,
+    /// Answers that were predictions.
+    pub predicted: u64,
+    /// Scans with the stamp of the one before.
+    pub duplicate_scans: u64,
+    /// Scans a little older than the one before.
+    pub out_of_order_scans: u64,
+    /// Runs that ended because time went back.
+    pub time_jumps: u64,
+    /// Wheel odometry messages with the stamp of the one before.
+    pub duplicate_odometry: u64,
+    /// Jumps of the wheel odometry.
+    pub odometry_resets: u64,
+    /// Scans whose motion the wheel odometry did not cover.
+    pub without_odometry: u64,
+}
+
+/// The reference scan's place.
+#[derive(Clone, Copy, Debug)]
+struct Keyframe {
+    odom_from_laser: Pose2,
+    covariance: PoseCovariance,
+}
+
+/// The last answer.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    stamp: Stamp,
+    odom_from_base: Pose2,
+    covariance: PoseCovariance,
+    twist: Twist2,
+}
+
+/// Laser odometry: scans and wheel odometry in, poses out.
+pub struct LaserOdometry {
+    knobs: OdometryKnobs,
+    matcher: Matcher,
+    wheels: WheelOdometry,
+    keyframe: Option<Keyframe>,
+    upcoming_keyframe: Option<(Scan, Keyframe)>,
+    last: Option<Last>,
+    start: Pose2,
+    counters: OdometryCounters,
+    keep_matched_points: bool,
+    matched_points: Option<MatchedPoints>,
+}
+
+impl LaserOdometry {
+    /// Odometry with these knobs, at its initial pose.
+    pub fn new(knobs: &OdometryKnobs, matching: &MatchingKnobs, rejection: &RejectionKnobs) -> Self {
+        Self {
+            knobs: knobs.clone(),
+            matcher: Matcher::new(matching, rejection),
+            wheels: WheelOdometry::default(),
+            keyframe: None,
+            upcoming_keyframe: None,
+            last: None,
+            start: knobs.initial_pose,
+            counters: OdometryCounters::default(),
+            keep_matched_points: false,
+            matched_points: None,
+        }
+    }
+
+    /// Events counted so far.
+    pub fn counters(&self) -> &OdometryCounters {
+        &self.counters
+    }
+
+    /// Whether to keep the matched points of each answer for [`Self::matched_points`].
+    pub fn set_keep_matched_points(&mut self, keep: bool) {
+        self.keep_matched_points = keep;
+    }
+
+    /// The matched points of the last answer, where it was a match and they were to be kept.
+    pub fn matched_points(&self) -> Option<&MatchedPoints> {
+        self.matched_points.as_ref()
+    }
+
+    /// Starts again: the next scan is the first one, at `odom_from_base`.
+    pub fn restart_at(&mut self, odom_from_base: Pose2) {
+        self.forget_reference();
+        self.last = None;
+        self.start = odom_from_base;
+    }
+
+    /// Starts again at the initial pose, with nothing known.
+    pub fn reset(&mut self) {
+        self.restart_at(self.knobs.initial_pose);
+        self.wheels.clear();
+    }
+
+    /// The laser has moved on the base: the next scan becomes a keyframe where the base is.
+    pub fn forget_reference(&mut self) {
+        self.keyframe = None;
+        self.upcoming_keyframe = None;
+    }
+
+    /// Takes a message of wheel odometry.
+    pub fn add_wheel_sample(&mut self, sample: WheelSample) {
+        match self.wheels.push(sample) {
+            WheelEvent::Appended | WheelEvent::TimeJump => {}
+            WheelEvent::Duplicate => self.counters.duplicate_odometry += 1,
+            WheelEvent::Reset => self.counters.odometry_resets += 1,
+        }
+    }
+
+    /// The answer for a scan: where the base was when it was taken. `base_from_laser` is the laser's place on the base.
+    pub fn register(&mut self, scan: &Scan, base_from_laser: &Pose2, task: &Task, clock: &dyn Clock) -> Registration {
+        self.maintain();
+        self.matched_points = None;
+        if let Some(answer) = self.answer_by_stamp(scan.stamp()) {
+            return answer;
+        }
+        let Some(last) = self.last else { return self.answer_first(scan, base_from_laser) };
+        let motion = self.predicted_motion(&last, scan.stamp());
+        let Some(keyframe) = self.keyframe else {
+            return self.answer_predicted(scan, base_from_laser, &last, &motion, None, "no reference scan".into());
+        };
+        let odom_from_laser = last.odom_from_base * motion * *base_from_laser;
+        let first_guess = keyframe.odom_from_laser.between(&odom_from_laser);
+        let mut refinement = self.matcher.begin(scan, first_guess);
+        let stop_reason = drive(&mut refinement, task, clock);
+        let report = report(&refinement, stop_reason);
+        let keyframe_from_laser = refinement.pose();
+        let problem = problem(stop_reason, &report, &first_guess.between(&keyframe_from_laser), &self.knobs);
+        let match_covariance = refinement.covariance();
+        if self.keep_matched_points {
+            self.matched_points = Some(matched_points(&refinement, &keyframe.odom_from_laser));
+        }
+        if let Some(problem) = problem {
+            return self.answer_predicted(scan, base_from_laser, &last, &motion, Some(report), problem);
+        }
+        // Where the scans leave a direction open, what is known of it is the prediction.
+        let match_covariance = match_covariance.unwrap_or_else(|| uncertainty::of_prediction(&motion));
+        let odom_from_laser = keyframe.odom_from_laser * keyframe_from_laser;
+        let laser_covariance =
+            uncertainty::compound(&keyframe.odom_from_laser, &keyframe.covariance, &keyframe_from_laser, &match_covariance);
+        let answer = Answer {
+            outcome: Outcome::Matched,
+            odom_from_base: odom_from_laser * base_from_laser.inverse(),
+            covariance: uncertainty::compound(
+                &odom_from_laser,
+                &laser_covariance,
+                &base_from_laser.inverse(),
+                &PoseCovariance::zeros(),
+            ),
+            step_covariance: match_covariance,
+            refinement: Some(report),
+            predicted_error: ErrorEstimate::of_covariance(&uncertainty::of_prediction(&motion)),
+        };
+        let becomes_keyframe = self.wants_keyframe(&keyframe_from_laser);
+        self.conclude(scan, base_from_laser, answer, becomes_keyframe)
+    }
+
+    /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register`] does it otherwise.
+    pub fn maintain(&mut self) {
+        if let Some((scan, keyframe)) = self.upcoming_keyframe.take() {
+            self.matcher.set_reference(&scan);
+            self.keyframe = Some(keyframe);
+        }
+    }
+
+    fn wants_keyframe(&self, keyframe_from_laser: &Pose2) -> bool {
+        match self.knobs.reference {
+            ReferenceChoice::Previous => true,
+            ReferenceChoice::Keyframe => {
+                keyframe_from_laser.distance() > self.knobs.keyframe_distance
+                    || keyframe_from_laser.theta.abs() > self.knobs.keyframe_angle
+            }
+        }
+    }
+
+    /// Scans that are not later than the last one are answered without a match.
+    fn answer_by_stamp(&mut self, stamp: Stamp) -> Option<Registration> {
+        let last = self.last?;
+        let seconds = stamp.seconds_since(last.stamp);
+        if seconds > 0.0 {
+            return None;
+        }
+        if seconds < -NEW_RUN {
+            self.counters.time_jumps += 1;
+            self.restart_at(self.knobs.initial_pose);
+            return None;
+        }
+        let problem = if seconds == 0.0 {
+            self.counters.duplicate_scans += 1;
+            "its stamp is that of the scan before: the same answer again".into()
+        } else {
+            self.counters.out_of_order_scans += 1;
+            format!("its stamp is {:.3} s before that of the last scan: out of order", -seconds)
+        };
+        self.counters.predicted += 1;
+        Some(Registration {
+            outcome: Outcome::Predicted(problem),
+            odom_from_base: last.odom_from_base,
+            covariance: last.covariance,
+            twist: last.twist,
+            twist_covariance: PoseCovariance::zeros(),
+            refinement: None,
+            predicted_error: ErrorEstimate::UNKNOWN,
+            estimated_error: ErrorEstimate::UNKNOWN,
+            new_keyframe: false,
+        })
+    }
+
+    fn answer_first(&mut self, scan: &Scan, base_from_laser: &Pose2) -> Registration {
+        let answer = Answer {
+            outcome: Outcome::First,
+            odom_from_base: self.start,
+            covariance: PoseCovariance::zeros(),
+            step_covariance: PoseCovariance::zeros(),
+            refinement: None,
+            predicted_error: ErrorEstimate::default(),
+        };
+        self.conclude(scan, base_from_laser, answer, true)
+    }
+
+    /// The prediction as answer. Its scan becomes the keyframe: the one that could not be matched to must not be kept for ever.
+    fn answer_predicted(
+        &mut self,
+        scan: &Scan,
+        base_from_laser: &Pose2,
+        last: &Last,
+        motion: &Pose2,
+        refinement: Option<RefinementReport>,
+        problem: String,
+    ) -> Registration {
+        self.counters.predicted += 1;
+        let motion_covariance = uncertainty::of_prediction(motion);
+        let answer = Answer {
+            outcome: Outcome::Predicted(problem),
+            odom_from_base: last.odom_from_base * *motion,
+            covariance: uncertainty::compound(&last.odom_from_base, &last.covariance, motion, &motion_covariance),
+            step_covariance: motion_covariance,
+            refinement,
+            predicted_error: ErrorEstimate::of_covariance(&motion_covariance),
+        };
+        self.conclude(scan, base_from_laser, answer, true)
+    }
+
+    /// An answer for a scan that could not be used at all, taken at `stamp`.
+    pub fn answer_unusable(&mut self, stamp: Stamp, problem: String) -> Registration {
+        self.maintain();
+        self.matched_points = None;
+        if let Some(answer) = self.answer_by_stamp(stamp) {
+            return answer;
+        }
+        self.counters.predicted += 1;
+        let (odom_from_base, covariance, motion) = match self.last {
+            Some(last) => (last.odom_from_base, last.covariance, self.predicted_motion(&last, stamp)),
+            None => (self.start, PoseCovariance::zeros(), Pose2::IDENTITY),
+        };
+        let motion_covariance = uncertainty::of_prediction(&motion);
+        // The last answer stays as it is: the next scan's prediction starts from the last scan there was.
+        Registration {
+            outcome: Outcome::Predicted(problem),
+            odom_from_base: odom_from_base * motion,
+            covariance: uncertainty::compound(&odom_from_base, &covariance, &motion, &motion_covariance),
+            twist: self.last.map(|last| last.twist).unwrap_or_default(),
+            twist_covariance: PoseCovariance::zeros(),
+            refinement: None,
+            predicted_error: ErrorEstimate::of_covariance(&motion_covariance),
+            estimated_error: ErrorEstimate::of_covariance(&motion_covariance),
+            new_keyframe: false,
+        }
+    }
+
+    /// The motion of the base since the last answer: by the wheels, else at constant velocity.
+    fn predicted_motion(&mut self, last: &Last, stamp: Stamp) -> Pose2 {
+        if let Some(motion) = self.wheels.motion(last.stamp, stamp) {
+            return motion;
+        }
+        self.counters.without_odometry += 1;
+        let seconds = stamp.seconds_since(last.stamp);
+        if seconds <= MAX_PREDICTION_GAP { last.twist.motion(seconds) } else { Pose2::IDENTITY }
+    }
+
+    fn conclude(&mut self, scan: &Scan, base_from_laser: &Pose2, answer: Answer, becomes_keyframe: bool) -> Registration {
+        if becomes_keyframe {
+            self.counters.keyframes += 1;
+            let odom_from_laser = answer.odom_from_base * *base_from_laser;
+            let covariance =
+                uncertainty::compound(&answer.odom_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
+            self.upcoming_keyframe = Some((scan.clone(), Keyframe { odom_from_laser, covariance }));
+        }
+        let seconds = self.last.map(|last| scan.stamp().seconds_since(last.stamp));
+        let twist = match (self.last, seconds) {
+            (Some(last), Some(seconds)) => Twist2::of_motion(&last.odom_from_base.between(&answer.odom_from_base), seconds),
+            _ => Twist2::default(),
+        };
+        let twist_covariance =
+            seconds.map_or_else(PoseCovariance::zeros, |seconds| answer.step_covariance * 2.0 / (seconds * seconds));
+        self.last =
+            Some(Last { stamp: scan.stamp(), odom_from_base: answer.odom_from_base, covariance: answer.covariance, twist });
+        Registration {
+            outcome: answer.outcome,
+            odom_from_base: answer.odom_from_base,
+            covariance: answer.covariance,
+            twist,
+            twist_covariance,
+            refinement: answer.refinement,
+            predicted_error: answer.predicted_error,
+            estimated_error: ErrorEstimate::of_covariance(&answer.step_covariance),
+            new_keyframe: becomes_keyframe,
+        }
+    }
+}
+
+/// What [`LaserOdometry::conclude`] turns into a [`Registration`].
+struct Answer {
+    outcome: Outcome,
+    odom_from_base: Pose2,
+    covariance: PoseCovariance,
+    step_covariance: PoseCovariance,
+    refinement: Option<RefinementReport>,
+    predicted_error: ErrorEstimate,
+}
+
+fn report(refinement: &Refinement, stop_reason: StopReason) -> RefinementReport {
+    let last = refinement.trace().last().copied().unwrap_or_default();
+    let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    RefinementReport {
+        stop_reason,
+        iterations: count(refinement.trace().len()),
+        rays: count(refinement.rays()),
+        correspondences: last.correspondences,
+        inliers: last.inliers,
+        mean_residual: last.mean_residual,
+        condition_number: refinement.condition_number(),
+    }
+}
+
+/// Why the pose reached is not to be believed, if so.
+fn problem(stop_reason: StopReason, report: &RefinementReport, correction: &Pose2, knobs: &OdometryKnobs) -> Option<String> {
+    if stop_reason.is_failure() {
+        return Some(match stop_reason {
+            StopReason::Singular => "the correspondences determine no pose".into(),
+            _ => format!("too few correspondences: the scan of {} rays does not fit the reference", report.rays),
+        });
+    }
+    if report.iterations == 0 {
+        return Some("the time budget was used up before the first iteration".into());
+    }
+    if correction.distance() > knobs.max_correction_distance || correction.theta.abs() > knobs.max_correction_angle {
+        return Some(format!(
+            "the match corrects the prediction by {:.2} m and {:.1} degrees: more than max_correction_distance or max_correction_angle",
+            correction.distance(),
+            correction.theta.abs().to_degrees()
+        ));
+    }
+    None
+}
+
+fn matched_points(refinement: &Refinement, odom_from_keyframe: &Pose2) -> MatchedPoints {
+    let transform = odom_from_keyframe.transform();
+    MatchedPoints {
+        reference: refinement.reference_points().iter().map(|&p| transform.apply(p)).collect(),
+        pairs: refinement.matched_points().map(|(p, q)| (transform.apply(p), transform.apply(q))).collect(),
+    }
+}

@@ -1,0 +1,156 @@
+//! Wheel odometry as the prediction of where the next scan was taken.
+
+use std::collections::VecDeque;
+
+use crate::geometry::{Pose2, Twist2};
+use crate::time::Stamp;
+
+/// Messages kept: 10 s at 100 Hz, and far more than any scan needs.
+const CAPACITY: usize = 1000;
+/// Odometry older than this says nothing about a scan, s.
+const MAX_EXTRAPOLATION: f64 = 0.5;
+/// A move faster than any robot drives, m/s ...
+const MAX_SPEED: f64 = 30.0;
+/// ... and farther than odometry is ever rounded is a reset of the odometry, m.
+const MAX_JUMP: f64 = 0.5;
+
+/// One odometry message.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WheelSample {
+    /// When it was measured.
+    pub stamp: Stamp,
+    /// Pose of the base in the wheels' own odometry frame.
+    pub pose: Pose2,
+    /// Velocity in the base frame, where the message has one.
+    pub twist: Option<Twist2>,
+}
+
+/// What became of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WheelEvent {
+    /// It follows on the one before.
+    Appended,
+    /// It has the stamp of the one before and was left out.
+    Duplicate,
+    /// Time went back: earlier samples are forgotten.
+    TimeJump,
+    /// The pose jumped: motions across the jump are not known.
+    Reset,
+}
+
+/// The last messages of wheel odometry.
+#[derive(Clone, Debug, Default)]
+pub struct WheelOdometry {
+    samples: VecDeque<WheelSample>,
+}
+
+impl WheelOdometry {
+    /// Adds a message.
+    pub fn push(&mut self, sample: WheelSample) -> WheelEvent {
+        let event = self.samples.back().map_or(WheelEvent::Appended, |last| classify(last, &sample));
+        match event {
+            WheelEvent::Duplicate => return event,
+            WheelEvent::TimeJump | WheelEvent::Reset => self.samples.clear(),
+            WheelEvent::Appended => {}
+        }
+        if self.samples.len() == CAPACITY {
+            self.samples.pop_front();
+        }
+        self.samples.push_back(sample);
+        event
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.samples.clear();
+    }
+
+    /// The motion of the base from one time to another, seen from the first; `None` where the messages do not cover it.
+    pub fn motion(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
+        Some(self.pose_at(from)?.between(&self.pose_at(to)?))
+    }
+
+    /// Interpolated between messages; carried on from the last one by its velocity (its own, or that of the last two) for a while.
+    fn pose_at(&self, stamp: Stamp) -> Option<Pose2> {
+        let after = self.samples.partition_point(|sample| sample.stamp < stamp);
+        match (after.checked_sub(1).map(|i| self.samples[i]), self.samples.get(after)) {
+            (_, Some(after)) if after.stamp == stamp => Some(after.pose),
+            (Some(before), Some(after)) => {
+                let fraction = stamp.seconds_since(before.stamp) / after.stamp.seconds_since(before.stamp);
+                Some(before.pose.interpolate(&after.pose, fraction))
+            }
+            (Some(last), None) => {
+                let ahead = stamp.seconds_since(last.stamp);
+                (ahead <= MAX_EXTRAPOLATION).then(|| last.pose * self.last_twist().motion(ahead))
+            }
+            (None, _) => None,
+        }
+    }
+
+    fn last_twist(&self) -> Twist2 {
+        let Some(last) = self.samples.back() else { return Twist2::default() };
+        let from_poses = || {
+            let before = self.samples.len().checked_sub(2).map(|i| self.samples[i])?;
+            Some(Twist2::of_motion(&before.pose.between(&last.pose), last.stamp.seconds_since(before.stamp)))
+        };
+        last.twist.or_else(from_poses).unwrap_or_default()
+    }
+}
+
+fn classify(last: &WheelSample, sample: &WheelSample) -> WheelEvent {
+    let seconds = sample.stamp.seconds_since(last.stamp);
+    let distance = last.pose.between(&sample.pose).distance();
+    if seconds < 0.0 {
+        WheelEvent::TimeJump
+    } else if seconds == 0.0 {
+        WheelEvent::Duplicate
+    } else if distance > MAX_JUMP && distance > MAX_SPEED * seconds {
+        WheelEvent::Reset
+    } else {
+        WheelEvent::Appended
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(seconds: f64, x: f64) -> WheelSample {
+        WheelSample { stamp: Stamp::from_seconds(seconds), pose: Pose2::new(x, 0.0, 0.0), twist: None }
+    }
+
+    fn motion(odometry: &WheelOdometry, from: f64, to: f64) -> Option<f64> {
+        odometry.motion(Stamp::from_seconds(from), Stamp::from_seconds(to)).map(|m| m.x)
+    }
+
+    #[test]
+    fn interpolates_between_messages_and_goes_on_after_the_last() {
+        let mut odometry = WheelOdometry::default();
+        for i in 0..5 {
+            assert_eq!(odometry.push(sample(f64::from(i) * 0.1, f64::from(i))), WheelEvent::Appended);
+        }
+        assert!((motion(&odometry, 0.05, 0.25).unwrap() - 2.0).abs() < 1e-9);
+        assert!((motion(&odometry, 0.4, 0.45).unwrap() - 0.5).abs() < 1e-9);
+        assert_eq!(motion(&odometry, 0.3, 1.0), None, "far behind");
+        assert_eq!(motion(&odometry, -0.1, 0.2), None, "before the first message");
+    }
+
+    #[test]
+    fn a_twist_in_the_message_is_better_than_differences() {
+        let mut odometry = WheelOdometry::default();
+        odometry.push(sample(0.0, 0.0));
+        odometry.push(WheelSample { twist: Some(Twist2 { vx: 3.0, vy: 0.0, omega: 0.0 }), ..sample(0.1, 0.1) });
+        assert!((motion(&odometry, 0.1, 0.2).unwrap() - 0.3).abs() < 1e-9);
+    }
+
+    #[test]
+    fn duplicates_resets_and_time_jumps_are_told_apart() {
+        let mut odometry = WheelOdometry::default();
+        odometry.push(sample(1.0, 0.0));
+        assert_eq!(odometry.push(sample(1.0, 0.1)), WheelEvent::Duplicate);
+        assert_eq!(odometry.push(sample(1.1, 10.0)), WheelEvent::Reset);
+        assert_eq!(motion(&odometry, 1.0, 1.1), None, "no motion is known across a reset");
+        assert_eq!(odometry.push(sample(0.5, 10.0)), WheelEvent::TimeJump);
+        assert_eq!(odometry.push(sample(3.5, 19.0)), WheelEvent::Appended, "a long way after a long gap is a gap");
+    }
+}

@@ -1,0 +1,87 @@
+//! What `/tf` and `/tf_static` say of where the laser is mounted.
+
+use std::collections::HashMap;
+
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+
+use crate::geometry::Pose2;
+use crate::messages::geometry_msgs::Transform;
+use crate::messages::tf2_msgs::TFMessage;
+
+/// A chain longer than this is a loop.
+const MAX_CHAIN: usize = 100;
+
+/// The place of a laser on the robot, as far as it matters in the plane.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Mount {
+    /// Place and heading of the laser's x axis in the base frame.
+    pub base_from_laser: Pose2,
+    /// Whether the laser is on its head: its sweep, seen from above, runs the other way round.
+    pub upside_down: bool,
+}
+
+/// The last known transform of every frame to its parent.
+#[derive(Debug, Default)]
+pub struct TransformTree {
+    parents: HashMap<String, (String, Isometry3<f64>)>,
+}
+
+impl TransformTree {
+    /// Takes a message; answers how many of its transforms are no rigid motion and were left out.
+    pub fn add(&mut self, message: &TFMessage) -> usize {
+        let mut refused = 0;
+        for stamped in &message.transforms {
+            let (parent, child) = (frame_name(&stamped.header.frame_id), frame_name(&stamped.child_frame_id));
+            match isometry(&stamped.transform) {
+                Some(transform) if parent != child => {
+                    self.parents.insert(child.to_owned(), (parent.to_owned(), transform));
+                }
+                _ => refused += 1,
+            }
+        }
+        refused
+    }
+
+    /// The frame that `frame` hangs from.
+    pub fn parent(&self, frame: &str) -> Option<&str> {
+        self.parents.get(frame_name(frame)).map(|(parent, _)| parent.as_str())
+    }
+
+    /// The place of `laser` on `base`, when the frames are connected.
+    pub fn mount(&self, base: &str, laser: &str) -> Option<Mount> {
+        let (base_root, root_from_base) = self.root(base)?;
+        let (laser_root, root_from_laser) = self.root(laser)?;
+        if base_root != laser_root {
+            return None;
+        }
+        let base_from_laser = root_from_base.inverse() * root_from_laser;
+        let forward = base_from_laser.rotation * Vector3::x();
+        let up = base_from_laser.rotation * Vector3::z();
+        let place = base_from_laser.translation.vector;
+        Some(Mount { base_from_laser: Pose2::new(place.x, place.y, forward.y.atan2(forward.x)), upside_down: up.z < 0.0 })
+    }
+
+    fn root<'a>(&'a self, frame: &'a str) -> Option<(&'a str, Isometry3<f64>)> {
+        let mut frame = frame_name(frame);
+        let mut from_start = Isometry3::identity();
+        for _ in 0..MAX_CHAIN {
+            let Some((parent, transform)) = self.parents.get(frame) else { return Some((frame, from_start)) };
+            from_start = transform * from_start;
+            frame = parent;
+        }
+        None
+    }
+}
+
+/// tf2 knows no leading slash, older nodes write one.
+pub fn frame_name(frame: &str) -> &str {
+    frame.trim_start_matches('/')
+}
+
+fn isometry(transform: &Transform) -> Option<Isometry3<f64>> {
+    let (t, r) = (&transform.translation, &transform.rotation);
+    let rotation = UnitQuaternion::try_new(Quaternion::new(r.w, r.x, r.y, r.z), 1e-3)?;
+    let isometry = Isometry3::from_parts(Translation3::new(t.x, t.y, t.z), rotation);
+    let finite = isometry.translation.vector.iter().chain(rotation.coords.iter()).all(|v| v.is_finite());
+    finite.then_some(isometry)
+}
