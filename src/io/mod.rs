@@ -1,1 +1,5 @@
 //! Files: bags, trajectories, relations, maps.
+
+pub mod relations;
+pub mod text;
+pub mod tum;
