@@ -1,1 +1,3 @@
 //! Files: bags, trajectories, relations, maps.
+
+pub mod bag;
