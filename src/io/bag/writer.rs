@@ -18,7 +18,7 @@ use super::record::{MAGIC, op, push_header, push_record, stamp_to_bytes};
 const CHUNK_BYTES: usize = 768 << 10;
 /// Largest message taken, so that every chunk stays readable.
 const MAX_MESSAGE_BYTES: usize = 256 << 20;
-/// The bag header is padded to this, to be rewritten in place.
+/// The fields and the padding of the bag header take this much together, so that it can be rewritten in place.
 const BAG_HEADER_BYTES: usize = 4096;
 
 /// A bag being written. The same messages give the same bytes.
@@ -174,11 +174,11 @@ impl BagWriter {
             ("conn_count", &count(self.connections.len())),
             ("chunk_count", &count(self.chunks.len())),
         ];
-        let mut header = Vec::new();
-        push_header(&mut header, fields);
-        let padding = vec![b' '; BAG_HEADER_BYTES - header.len()];
         let mut record = Vec::new();
-        push_record(&mut record, fields, &padding);
+        push_header(&mut record, fields);
+        let padding = (BAG_HEADER_BYTES + size_of::<u32>()).saturating_sub(record.len());
+        record.extend_from_slice(&u32::try_from(padding).unwrap_or(0).to_le_bytes());
+        record.resize(record.len() + padding, b' ');
         record
     }
 
