@@ -10,6 +10,7 @@ pub mod knobs;
 pub mod matching;
 pub mod messages;
 pub mod odometry;
+pub mod replay;
 pub mod scan;
 pub mod simulation;
 pub mod time;
