@@ -142,6 +142,14 @@ impl App {
         estimate
     }
 
+    /// How long to hold back a scan of this stamp for odometry that it needs and that has not come yet; `None`: answer it now. A scan
+    /// that is answered all the same is predicted with what odometry there is.
+    pub fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
+        let longest = Duration::from_secs_f64(self.config.odometry.max_wait.0);
+        let wait = self.contract.time_budget.map_or(longest, |budget| longest.min(budget / 2));
+        (!wait.is_zero() && self.odometry.awaits_odometry(stamp)).then_some(wait)
+    }
+
     /// Work that can wait until an answer is out. The next scan is answered sooner for it.
     pub fn maintain(&mut self) {
         self.odometry.maintain();

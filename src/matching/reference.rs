@@ -144,12 +144,13 @@ impl Reference {
     }
 
     /// The ray whose direction is about that of `point`.
-    pub fn ray_towards(&self, point: Point) -> usize {
+    #[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
+    pub fn ray_towards(&self, point: Point) -> u32 {
         let offset = (point.y.atan2(point.x) - self.angle_min) * self.sweep_sign();
         // Past the sweep's middle of the gap, the first beam is nearer than the last.
         let turned = offset.rem_euclid(std::f64::consts::TAU);
         let sweep = std::f64::consts::TAU - self.gap;
         let beam = if turned > sweep + 0.5 * self.gap { 0.0 } else { turned / self.angle_increment.abs() };
-        self.beam_of_ray.partition_point(|&b| f64::from(b) < beam).min(self.len() - 1)
+        self.beam_of_ray.partition_point(|&b| f64::from(b) < beam).min(self.len() - 1) as u32
     }
 }

@@ -9,6 +9,7 @@ pub mod wheel;
 use crate::anytime::clock::Clock;
 use crate::anytime::{ErrorEstimate, Task, drive};
 use crate::geometry::{Point, Pose2, PoseCovariance, Twist2};
+use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
 use crate::matching::{Matcher, MatchingKnobs, Refinement, StopReason};
 use crate::scan::Scan;
@@ -43,6 +44,8 @@ crate::knobs! {
         laser_in_base: Option<Pose2> = None, unit "m, m, rad";
         /// Pose of the base at the start, `[x, y, yaw]` in the odom frame.
         initial_pose: Pose2 = Pose2::IDENTITY, unit "m, m, rad";
+        /// Longest wait for odometry that is more than 50 ms behind a scan; not longer than the time budget.
+        max_wait: Seconds = Seconds(0.3), in 0 to 10, unit "s";
         /// A match that corrects the prediction by more than this is not believed.
         max_correction_distance: f64 = 1.0, in 0.01 to 100, unit "m";
         /// A match that turns the prediction by more than this is not believed.
@@ -161,6 +164,8 @@ pub struct LaserOdometry {
     knobs: OdometryKnobs,
     matcher: Matcher,
     wheels: WheelOdometry,
+    /// A scan was answered before the odometry had come for it: it may have died, none is waited for until it is back.
+    waited_in_vain: bool,
     keyframe: Option<Keyframe>,
     upcoming_keyframe: Option<(Scan, Keyframe)>,
     last: Option<Last>,
@@ -177,6 +182,7 @@ impl LaserOdometry {
             knobs: knobs.clone(),
             matcher: Matcher::new(matching, rejection),
             wheels: WheelOdometry::default(),
+            waited_in_vain: false,
             keyframe: None,
             upcoming_keyframe: None,
             last: None,
@@ -223,11 +229,17 @@ impl LaserOdometry {
 
     /// Takes a message of wheel odometry.
     pub fn add_wheel_sample(&mut self, sample: WheelSample) {
+        self.waited_in_vain = false;
         match self.wheels.push(sample) {
             WheelEvent::Appended | WheelEvent::TimeJump => {}
             WheelEvent::Duplicate => self.counters.duplicate_odometry += 1,
             WheelEvent::Reset => self.counters.odometry_resets += 1,
         }
+    }
+
+    /// Whether a scan of this stamp is better answered when the next odometry message has come.
+    pub fn awaits_odometry(&self, stamp: Stamp) -> bool {
+        !self.waited_in_vain && self.wheels.is_behind(stamp)
     }
 
     /// The answer for a scan: where the base was when it was taken. `base_from_laser` is the laser's place on the base.
@@ -393,6 +405,7 @@ impl LaserOdometry {
 
     /// The motion of the base since the last answer: by the wheels, else at constant velocity.
     fn predicted_motion(&mut self, last: &Last, stamp: Stamp) -> Pose2 {
+        self.waited_in_vain = self.wheels.is_behind(stamp);
         if let Some(motion) = self.wheels.motion(last.stamp, stamp) {
             return motion;
         }

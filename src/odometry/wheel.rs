@@ -9,6 +9,8 @@ use crate::time::Stamp;
 const CAPACITY: usize = 1000;
 /// Odometry older than this says nothing about a scan, s.
 const MAX_EXTRAPOLATION: f64 = 0.5;
+/// Over a shorter time than this the velocity is as good as a message, s.
+const GOOD_EXTRAPOLATION: f64 = 0.05;
 /// A move faster than any robot drives, m/s ...
 const MAX_SPEED: f64 = 30.0;
 /// ... and farther than odometry is ever rounded is a reset of the odometry, m.
@@ -63,6 +65,11 @@ impl WheelOdometry {
     /// Forgets everything.
     pub fn clear(&mut self) {
         self.samples.clear();
+    }
+
+    /// Whether there is odometry, and none yet that says where the base is at `stamp`.
+    pub fn is_behind(&self, stamp: Stamp) -> bool {
+        self.samples.back().is_some_and(|last| stamp.seconds_since(last.stamp) > GOOD_EXTRAPOLATION)
     }
 
     /// The motion of the base from one time to another, seen from the first; `None` where the messages do not cover it.

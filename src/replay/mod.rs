@@ -13,6 +13,7 @@ use crate::io::bag::{Bag, BagError, BagMessage};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
+use crate::time::Stamp;
 
 /// Where transforms are published.
 const TRANSFORM_TOPICS: [&str; 2] = ["/tf", "/tf_static"];
@@ -77,8 +78,20 @@ pub fn replay<E: From<BagError>>(
     mut on_estimate: impl FnMut(&LaserScan, &Estimate, &App) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
     let mut log = ReplayLog::default();
-    let wanted = topics.all();
-    for message in bag.messages(Some(&wanted)) {
+    let mut held: Option<HeldScan> = None;
+    let mut answer = |held: &HeldScan, app: &mut App, log: &mut ReplayLog| {
+        let arrival = clock.now();
+        match held.message.decode::<LaserScan>() {
+            Ok(scan) => {
+                let estimate = app.on_scan(&scan, arrival);
+                on_estimate(&scan, &estimate, app)?;
+                app.maintain();
+            }
+            Err(error) => log.note(&error),
+        }
+        Ok::<_, E>(())
+    };
+    for message in bag.messages(Some(&topics.all())) {
         on_message();
         let message = match message {
             Ok(message) => message,
@@ -87,21 +100,41 @@ pub fn replay<E: From<BagError>>(
                 continue;
             }
         };
-        if message.connection.topic == topics.scan {
-            let arrival = clock.now();
-            match message.decode::<LaserScan>() {
-                Ok(scan) => {
-                    let estimate = app.on_scan(&scan, arrival);
-                    on_estimate(&scan, &estimate, app)?;
-                    app.maintain();
-                }
-                Err(error) => log.note(&error),
-            }
+        let is_scan = message.connection.topic == topics.scan;
+        if let Some(scan) = held.take_if(|scan| is_scan || !scan.can_wait(app, message.time)) {
+            answer(&scan, app, &mut log)?;
+        }
+        if is_scan {
+            held = Some(HeldScan::new(message));
         } else if let Err(problem) = take(app, topics, &message) {
             log.note(&problem);
         }
+        if let Some(scan) = held.take_if(|scan| !scan.can_wait(app, scan.message.time)) {
+            answer(&scan, app, &mut log)?;
+        }
+    }
+    if let Some(scan) = held {
+        answer(&scan, app, &mut log)?;
     }
     Ok(log)
+}
+
+/// A scan held back until the odometry for it has come, as the node does.
+struct HeldScan<'bag> {
+    message: BagMessage<'bag>,
+    stamp: Stamp,
+}
+
+impl<'bag> HeldScan<'bag> {
+    fn new(message: BagMessage<'bag>) -> Self {
+        // A scan that cannot be read has no stamp; any will do, it will be answered with an error.
+        let stamp = message.decode::<LaserScan>().map_or(message.time, |scan| scan.header.stamp.into());
+        Self { message, stamp }
+    }
+
+    fn can_wait(&self, app: &App, now: Stamp) -> bool {
+        app.wait_for_odometry(self.stamp).is_some_and(|wait| now.seconds_since(self.message.time) < wait.as_secs_f64())
+    }
 }
 
 fn take(app: &mut App, topics: &Topics, message: &BagMessage) -> Result<(), String> {

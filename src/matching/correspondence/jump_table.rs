@@ -15,19 +15,21 @@ use super::{CorrespondenceSearch, Nearest};
 use crate::geometry::Point;
 use crate::matching::reference::{NO_RAY, Ray, Reference};
 
-/// The next ray along one direction of the sweep that is longer, or shorter, than each ray.
+/// Where a walk in one direction of the sweep goes from each ray.
 #[derive(Debug, Default)]
 struct Jumps {
+    adjacent: Vec<u32>,
+    /// The next ray that is longer.
     longer: Vec<u32>,
+    /// The next ray that is shorter.
     shorter: Vec<u32>,
 }
 
+/// One table a direction. Where the gap of the sweep is less than half a turn, walks go on across it.
 #[derive(Debug, Default)]
 pub(super) struct JumpTable {
     up: Jumps,
     down: Jumps,
-    /// Whether walks go on from the last ray to the first across the gap of the sweep.
-    wraps: bool,
 }
 
 /// Fills `next[i]` with the first ray ahead of `i` for which `beats(its range, range of i)`; `indices` come from the far end of the
@@ -49,92 +51,75 @@ fn link(rays: &[Ray], indices: impl Iterator<Item = usize>, beats: impl Fn(f64, 
 }
 
 impl Jumps {
-    /// `indices`: the rays from the far end of the direction to its near end; twice round where the walk wraps.
-    fn build(&mut self, rays: &[Ray], indices: impl Iterator<Item = usize> + Clone) {
-        for table in [&mut self.longer, &mut self.shorter] {
+    /// `indices`: the rays from the far end of the direction to its near end.
+    fn build(&mut self, rays: &[Ray], indices: impl DoubleEndedIterator<Item = usize> + Clone, wraps: bool) {
+        for table in [&mut self.adjacent, &mut self.longer, &mut self.shorter] {
             table.clear();
             table.resize(rays.len(), NO_RAY);
         }
-        link(rays, indices.clone(), |candidate, range| candidate > range, &mut self.longer);
-        link(rays, indices, |candidate, range| candidate < range, &mut self.shorter);
-    }
-}
-
-impl JumpTable {
-    fn step(&self, ray: usize, upwards: bool, len: usize) -> Option<usize> {
-        match (upwards, self.wraps) {
-            (true, _) if ray + 1 < len => Some(ray + 1),
-            (false, _) if ray > 0 => Some(ray - 1),
-            (true, true) => Some(0),
-            (false, true) => Some(len - 1),
-            _ => None,
-        }
+        let rounds = if wraps { 2 } else { 1 };
+        let indices = || std::iter::repeat_n(indices.clone(), rounds).flatten();
+        link(rays, indices(), |_, _| true, &mut self.adjacent);
+        link(rays, indices(), |candidate, range| candidate > range, &mut self.longer);
+        link(rays, indices(), |candidate, range| candidate < range, &mut self.shorter);
     }
 
-    /// Walks from `start` in one direction of the sweep and improves `best`.
-    #[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
+    /// Walks from `start` and improves `best`. `ahead_sign` is +1 when the walk turns counter-clockwise, else -1.
     #[inline]
-    fn walk(&self, reference: &Reference, point: Point, start: usize, upwards: bool, best: &mut Nearest) {
-        let rays = reference.rays();
-        let jumps = if upwards { &self.up } else { &self.down };
-        let ahead_sign = if upwards { reference.sweep_sign() } else { -reference.sweep_sign() };
+    fn walk(&self, rays: &[Ray], point: Point, start: u32, ahead_sign: f64, mut best: Nearest) -> Nearest {
         let mut past = false;
-        let mut next = Some(start);
-        // A ring has no end to stop at: once round is enough.
-        for _ in 0..rays.len() {
-            let Some(i) = next else { return };
-            let Ray { direction, range } = rays[i];
-            let along = point.dot(&direction);
-            let across = ahead_sign * (point.x * direction.y - point.y * direction.x);
+        let mut i = start;
+        while let Some(Ray { direction, range }) = rays.get(i as usize) {
+            let along = point.dot(direction);
+            let across = ahead_sign * point.perp(direction);
+            // More than 90 degrees off, or come round from behind.
             if along <= 0.0 || (past && across < 0.0) {
-                return; // more than 90 degrees off, or come round from behind
+                break;
             }
             past = across >= 0.0;
             if past && across * across >= best.squared_distance {
-                return;
+                break;
             }
             let short_of = along - range;
             let squared_distance = short_of * short_of + across * across;
             if squared_distance < best.squared_distance {
-                *best = Nearest { ray: i as u32, squared_distance };
+                best = Nearest { ray: i, squared_distance };
             }
-            next = if past {
-                let jump = if short_of > 0.0 { jumps.longer[i] } else { jumps.shorter[i] };
-                (jump != NO_RAY).then_some(jump as usize)
-            } else {
-                self.step(i, upwards, rays.len())
+            let table = match (past, short_of > 0.0) {
+                (false, _) => &self.adjacent,
+                (true, true) => &self.longer,
+                (true, false) => &self.shorter,
             };
+            i = table[i as usize];
         }
+        best
     }
+}
 
+impl JumpTable {
     fn nearest(&self, reference: &Reference, point: Point, guess: u32, max_distance: f64) -> Nearest {
         if point.norm_squared() <= max_distance * max_distance {
             return nearest_of_all(reference, point, max_distance);
         }
         let is_near = |ray: &Ray| point.dot(&ray.direction) > 0.0;
         let start = match reference.rays().get(guess as usize) {
-            Some(ray) if is_near(ray) => guess as usize,
+            Some(ray) if is_near(ray) => guess,
             _ => reference.ray_towards(point),
         };
-        let mut best = Nearest { ray: NO_RAY, squared_distance: max_distance * max_distance };
-        self.walk(reference, point, start, true, &mut best);
-        self.walk(reference, point, start, false, &mut best);
-        if best.ray == NO_RAY {
-            #[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
-            return Nearest { ray: start as u32, ..Nearest::NONE };
-        }
-        best
+        let (rays, up) = (reference.rays(), reference.sweep_sign());
+        let none = Nearest { ray: NO_RAY, squared_distance: max_distance * max_distance };
+        let best = self.up.walk(rays, point, start, up, none);
+        let best = self.down.walk(rays, point, start, -up, best);
+        if best.ray == NO_RAY { Nearest { ray: start, ..Nearest::NONE } } else { best }
     }
 }
 
 impl CorrespondenceSearch for JumpTable {
     fn prepare(&mut self, reference: &Reference) {
-        self.wraps = reference.gap() < std::f64::consts::PI;
-        let rays = reference.rays();
-        let n = rays.len();
-        let rounds = if self.wraps { 2 } else { 1 };
-        self.up.build(rays, (0..rounds * n).rev().map(|i| i % n));
-        self.down.build(rays, (0..rounds * n).map(|i| i % n));
+        let wraps = reference.gap() < std::f64::consts::PI;
+        let n = reference.len();
+        self.up.build(reference.rays(), (0..n).rev(), wraps);
+        self.down.build(reference.rays(), 0..n, wraps);
     }
 
     fn find(&self, reference: &Reference, points: &[Point], max_distance: f64, nearest: &mut [Nearest]) {
