@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -293,7 +294,7 @@ fn a_bag_cut_off_anywhere_gives_what_is_left_and_says_what_is_lost() {
             let mut rest = whole.iter();
             assert!(found.iter().all(|message| rest.any(|other| other == message)), "an invented message");
             assert_ne!(*bag.problems(), [], "cut at {len} of {} unsaid", bytes.len());
-            if compression == Compression::None {
+            if compression == Compression::None && bytes.len() < 100_000 {
                 let complete = whole.iter().filter(|(_, _, data)| position(&bytes, data, 0) + data.len() <= len).count();
                 assert_eq!(found.len(), complete, "cut at {len}");
             }
@@ -309,6 +310,7 @@ fn damaged_bytes_never_panic() {
     for &compression in Compression::ALL {
         write_bag(&path, compression, 3, 20);
         let bytes = fs::read(&path).unwrap();
+        fs::copy(&path, &damaged).unwrap();
         // The padding of the bag header is of no interest.
         let interesting: Vec<usize> = (0..100).chain(4110..bytes.len()).collect();
         for _ in 0..7000 {
@@ -317,7 +319,8 @@ fn damaged_bytes_never_panic() {
                 let at = interesting[random.random_range(0..interesting.len())];
                 bytes[at] = if random.random() { random.random() } else { bytes[at] ^ (1 << random.random_range(0..8)) };
             }
-            fs::write(&damaged, &bytes).unwrap();
+            // Written over in place: emptying a file first makes some file systems wait for the disk.
+            fs::OpenOptions::new().write(true).open(&damaged).unwrap().write_all(&bytes).unwrap();
             let Ok(bag) = Bag::open(&damaged) else { continue };
             for message in bag.messages(None) {
                 let message = message.unwrap();
