@@ -8,6 +8,7 @@ use crate::messages::sensor_msgs::LaserScan;
 use crate::scan::ScanConverter;
 
 use super::super::BagMessage;
+use super::with_cause;
 
 /// The scans of a topic. The geometry is that of the last scan.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -89,7 +90,7 @@ impl Statistics {
     pub(super) fn add(&mut self, message: &BagMessage<'_>) {
         match message.decode::<LaserScan>() {
             Ok(scan) => self.add_scan(&scan),
-            Err(error) => self.unusable(error.to_string()),
+            Err(error) => self.unusable(with_cause(&error)),
         }
     }
 

@@ -6,6 +6,7 @@ mod table;
 mod topic;
 
 use std::collections::BTreeMap;
+use std::error::Error as _;
 
 use serde::Serialize;
 
@@ -138,5 +139,13 @@ impl TopicReport {
             Content::Odometry(odometry) => odometry.add(message),
             Content::Other => {}
         }
+    }
+}
+
+/// An error and what it came from, on one line.
+fn with_cause(error: &BagError) -> String {
+    match error.source() {
+        Some(cause) => format!("{error}: {cause}"),
+        None => error.to_string(),
     }
 }

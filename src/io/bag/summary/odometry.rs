@@ -8,6 +8,7 @@ use crate::messages::geometry_msgs::Pose;
 use crate::messages::nav_msgs::Odometry;
 
 use super::super::BagMessage;
+use super::with_cause;
 
 /// How far from 1 the norm of a quaternion may be.
 const NORM_TOLERANCE: f64 = 0.01;
@@ -41,7 +42,7 @@ impl OdometrySummary {
             Ok(odometry) => self.add_odometry(odometry),
             Err(error) => {
                 self.undecodable += 1;
-                self.first_error.get_or_insert(error.to_string());
+                self.first_error.get_or_insert_with(|| with_cause(&error));
             }
         }
     }
