@@ -3,9 +3,11 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use anytime_scan_matcher::io::bag::summary::BagSummary;
 use anytime_scan_matcher::io::bag::{Bag, BagError, BagMessage, BagWriter, Compression};
 use anytime_scan_matcher::messages::geometry_msgs::TransformStamped;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
@@ -293,7 +295,7 @@ fn a_bag_cut_off_anywhere_gives_what_is_left_and_says_what_is_lost() {
             let mut rest = whole.iter();
             assert!(found.iter().all(|message| rest.any(|other| other == message)), "an invented message");
             assert_ne!(*bag.problems(), [], "cut at {len} of {} unsaid", bytes.len());
-            if compression == Compression::None {
+            if compression == Compression::None && bytes.len() < 100_000 {
                 let complete = whole.iter().filter(|(_, _, data)| position(&bytes, data, 0) + data.len() <= len).count();
                 assert_eq!(found.len(), complete, "cut at {len}");
             }
@@ -309,6 +311,7 @@ fn damaged_bytes_never_panic() {
     for &compression in Compression::ALL {
         write_bag(&path, compression, 3, 20);
         let bytes = fs::read(&path).unwrap();
+        fs::copy(&path, &damaged).unwrap();
         // The padding of the bag header is of no interest.
         let interesting: Vec<usize> = (0..100).chain(4110..bytes.len()).collect();
         for _ in 0..7000 {
@@ -317,7 +320,8 @@ fn damaged_bytes_never_panic() {
                 let at = interesting[random.random_range(0..interesting.len())];
                 bytes[at] = if random.random() { random.random() } else { bytes[at] ^ (1 << random.random_range(0..8)) };
             }
-            fs::write(&damaged, &bytes).unwrap();
+            // Written over in place: emptying a file first makes some file systems wait for the disk.
+            fs::OpenOptions::new().write(true).open(&damaged).unwrap().write_all(&bytes).unwrap();
             let Ok(bag) = Bag::open(&damaged) else { continue };
             for message in bag.messages(None) {
                 let message = message.unwrap();
@@ -449,4 +453,56 @@ fn damaged_messages_never_panic_and_absurd_lengths_are_errors() {
     }
     assert!(messages::decode::<LaserScan>(&scan[..scan.len() - 1]).is_err());
     assert!(messages::decode::<LaserScan>(&[scan.as_slice(), &[0]].concat()).is_err());
+}
+
+#[test]
+fn the_summary_tells_geometry_rates_and_problems() {
+    let dir = scratch();
+    let path = dir.path().join("a.bag");
+    let mut writer = BagWriter::create(&path, Compression::Lz4).unwrap();
+    write_drive(&mut writer, 100, 541);
+    let late = Stamp::from_ros(START + 60, 0);
+    let mut covered = scan(Stamp::from_ros(START, 5), 541);
+    covered.ranges.fill(f32::NAN);
+    writer.write("/scan", late, &covered).unwrap();
+    let mut lost = odometry(late);
+    lost.pose.pose.position.x = f64::NAN;
+    writer.write("/odom", late, &lost).unwrap();
+    writer.finish().unwrap();
+
+    let summary = BagSummary::read(&Bag::open(&path).unwrap(), || ()).unwrap();
+    assert_eq!(summary.messages, 203);
+    let laser = &summary.lasers[0];
+    assert_eq!((laser.beams, laser.usable, laser.unusable, laser.geometry_changes), (541, 100, 1, 0));
+    assert!((laser.field_of_view_deg - 5.4_f64.to_degrees()).abs() < 1e-4 && laser.valid_percent > 99.9);
+    let scans = summary.topics.iter().find(|topic| topic.topic == "/scan").unwrap();
+    assert!((scans.rate_hz.unwrap() - 40.0).abs() < 1e-6 && scans.stamps_back == 1);
+    let problems = summary.problems.join("\n");
+    for said in [
+        "/scan: 1 of 101 stamps go back in time",
+        "/odom: 1 gap, the longest of 58.02 s",
+        "/scan: 1 of 101 scans unusable, the first: 0 of 541 rays carry a measurement",
+        "/odom: 1 poses are NaN or infinite",
+    ] {
+        assert!(problems.contains(said), "{problems}");
+    }
+}
+
+#[test]
+fn info_prints_a_table_or_json() {
+    let dir = scratch();
+    let path = dir.path().join("a.bag");
+    write_drive(&mut BagWriter::create(&path, Compression::Bz2).unwrap(), 50, 541);
+    let info = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("info").args(arguments).arg(&path).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let json: serde_json::Value = serde_json::from_str(&info(&["--json"])).unwrap();
+    assert_eq!(json["messages"], 101);
+    assert_eq!(json["lasers"][0]["beams"], 541);
+    let table = info(&[]);
+    for said in ["sensor_msgs/LaserScan", "base_link", "was not closed", "rosbag reindex"] {
+        assert!(table.contains(said), "{table}");
+    }
 }

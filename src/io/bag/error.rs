@@ -9,11 +9,11 @@ use thiserror::Error;
 use crate::messages::DecodeError;
 use crate::time::Stamp;
 
-/// Why a bag cannot be read or written.
+/// Why a bag cannot be read or written. As usual the text leaves out that of the `source`; `anyhow`'s `{:#}` adds it.
 #[derive(Debug, Error)]
 pub enum BagError {
     /// The operating system refused.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
@@ -80,7 +80,7 @@ pub enum BagError {
         expected: &'static str,
     },
     /// The bytes of a message do not fit its type.
-    #[error("{}: the message of {time} s on {topic} (chunk at byte {chunk_offset}): {source}", path.display())]
+    #[error("{}: the message of {time} s on {topic} (chunk at byte {chunk_offset}) cannot be decoded", path.display())]
     Decode {
         /// The file.
         path: PathBuf,

@@ -2,7 +2,6 @@
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, VecDeque};
-use std::path::Path;
 
 use serde::Deserialize;
 
@@ -41,11 +40,6 @@ impl BagMessage<'_> {
             chunk_offset: self.bag.chunks()[self.chunk].offset,
             source,
         })
-    }
-
-    /// The bag it is from.
-    pub fn path(&self) -> &Path {
-        self.bag.path()
     }
 }
 

@@ -12,6 +12,7 @@ mod layout;
 mod messages;
 mod reader;
 mod record;
+pub mod summary;
 mod writer;
 
 pub use compression::Compression;

@@ -1,0 +1,137 @@
+//! Geometry and usability of the scans of a topic.
+
+use std::collections::BTreeSet;
+
+use serde::Serialize;
+
+use crate::messages::sensor_msgs::LaserScan;
+use crate::scan::ScanConverter;
+
+use super::super::BagMessage;
+use super::with_cause;
+
+/// The scans of a topic. The geometry is that of the last scan.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct LaserSummary {
+    /// Name of the topic.
+    pub topic: String,
+    /// Frames that the scans are in: one, as a rule.
+    pub frames: BTreeSet<String>,
+    /// Number of beams.
+    pub beams: usize,
+    /// Direction of the first beam.
+    pub angle_min_deg: f64,
+    /// Angle from the first to the last beam.
+    pub field_of_view_deg: f64,
+    /// Angle from one beam to the next.
+    pub increment_deg: f64,
+    /// Shortest range the laser measures.
+    pub range_min_m: f64,
+    /// Longest range the laser measures.
+    pub range_max_m: f64,
+    /// How often the geometry changed from one scan to the next.
+    pub geometry_changes: u64,
+    /// Part of the rays of usable scans that carry a measurement.
+    pub valid_percent: f64,
+    /// Scans that can be matched.
+    pub usable: u64,
+    /// Scans that cannot.
+    pub unusable: u64,
+    /// What is wrong with the first that cannot.
+    pub first_error: Option<String>,
+}
+
+impl LaserSummary {
+    pub(super) fn problems(&self) -> Vec<String> {
+        let topic = &self.topic;
+        let mut problems = Vec::new();
+        if let Some(error) = &self.first_error {
+            problems.push(format!(
+                "{topic}: {} of {} scans unusable, the first: {error}",
+                self.unusable,
+                self.unusable + self.usable
+            ));
+        }
+        if self.geometry_changes > 0 {
+            problems.push(format!("{topic}: the scan geometry changes {} times", self.geometry_changes));
+        }
+        if self.frames.len() > 1 {
+            problems.push(format!("{topic}: scans are in {} different frames", self.frames.len()));
+        }
+        if self.frames.contains("") {
+            problems.push(format!("{topic}: scans without a frame_id"));
+        }
+        problems
+    }
+}
+
+/// The scans of a topic while they are read.
+pub(super) struct Statistics {
+    summary: LaserSummary,
+    converter: ScanConverter,
+    geometry: Option<Geometry>,
+    rays: usize,
+    valid_rays: usize,
+}
+
+/// What must be equal, to the bit, in scans of one geometry.
+#[derive(PartialEq)]
+struct Geometry {
+    numbers: [u32; 4],
+    beams: usize,
+}
+
+impl Statistics {
+    pub(super) fn new(topic: &str) -> Self {
+        let summary = LaserSummary { topic: topic.into(), ..LaserSummary::default() };
+        Self { summary, converter: ScanConverter::default(), geometry: None, rays: 0, valid_rays: 0 }
+    }
+
+    pub(super) fn add(&mut self, message: &BagMessage<'_>) {
+        match message.decode::<LaserScan>() {
+            Ok(scan) => self.add_scan(&scan),
+            Err(error) => self.unusable(with_cause(&error)),
+        }
+    }
+
+    fn add_scan(&mut self, message: &LaserScan) {
+        self.describe(message);
+        match self.converter.convert(message, false) {
+            Ok(scan) => {
+                self.summary.usable += 1;
+                self.rays += scan.len();
+                self.valid_rays += scan.valid_len();
+            }
+            Err(error) => self.unusable(error.to_string()),
+        }
+    }
+
+    fn describe(&mut self, message: &LaserScan) {
+        let numbers = [message.angle_min, message.angle_increment, message.range_min, message.range_max].map(f32::to_bits);
+        let geometry = Geometry { numbers, beams: message.ranges.len() };
+        let changed = self.geometry.as_ref().is_some_and(|previous| *previous != geometry);
+        self.geometry = Some(geometry);
+        let increment_deg = f64::from(message.angle_increment).to_degrees();
+        let summary = &mut self.summary;
+        summary.geometry_changes += u64::from(changed);
+        if !summary.frames.contains(&message.header.frame_id) {
+            summary.frames.insert(message.header.frame_id.clone());
+        }
+        summary.beams = message.ranges.len();
+        summary.angle_min_deg = f64::from(message.angle_min).to_degrees();
+        summary.field_of_view_deg = increment_deg.abs() * summary.beams.saturating_sub(1) as f64;
+        summary.increment_deg = increment_deg;
+        summary.range_min_m = message.range_min.into();
+        summary.range_max_m = message.range_max.into();
+    }
+
+    fn unusable(&mut self, error: String) {
+        self.summary.unusable += 1;
+        self.summary.first_error.get_or_insert(error);
+    }
+
+    pub(super) fn summary(mut self) -> LaserSummary {
+        self.summary.valid_percent = 100.0 * self.valid_rays as f64 / self.rays.max(1) as f64;
+        self.summary
+    }
+}

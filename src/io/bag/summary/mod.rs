@@ -1,0 +1,151 @@
+//! What a bag holds and what is wrong with it: `anytime info`.
+
+mod laser;
+mod odometry;
+mod table;
+mod topic;
+
+use std::collections::BTreeMap;
+use std::error::Error as _;
+
+use serde::Serialize;
+
+use crate::messages::Message;
+use crate::messages::nav_msgs::Odometry;
+use crate::messages::sensor_msgs::LaserScan;
+
+use super::{Bag, BagError, BagMessage, Connection};
+
+pub use laser::LaserSummary;
+pub use odometry::OdometrySummary;
+pub use topic::TopicSummary;
+
+/// What there is to know of a bag before it is replayed.
+#[derive(Clone, Debug, Serialize)]
+pub struct BagSummary {
+    /// The file.
+    pub path: String,
+    /// Its length.
+    pub size_bytes: u64,
+    /// When the first message was recorded, seconds since 1970.
+    pub start_s: Option<f64>,
+    /// From the first to the last message.
+    pub duration_s: f64,
+    /// Number of messages read.
+    pub messages: u64,
+    /// Number of chunks by the way they are packed.
+    pub chunks: BTreeMap<&'static str, usize>,
+    /// Every topic, by name.
+    pub topics: Vec<TopicSummary>,
+    /// The topics with laser scans.
+    pub lasers: Vec<LaserSummary>,
+    /// The topics with odometry.
+    pub odometry: Vec<OdometrySummary>,
+    /// What is wrong, in words.
+    pub problems: Vec<String>,
+}
+
+impl BagSummary {
+    /// Reads the whole bag; calls `on_message` after each message.
+    pub fn read(bag: &Bag, mut on_message: impl FnMut()) -> Result<Self, BagError> {
+        let mut topics: BTreeMap<&str, TopicReport> = BTreeMap::new();
+        for connection in bag.connections() {
+            topics.entry(&connection.topic).or_insert_with(|| TopicReport::new(connection));
+        }
+        for message in bag.messages(None) {
+            let message = message?;
+            if let Some(report) = topics.get_mut(message.connection.topic.as_str()) {
+                report.add(&message);
+            }
+            on_message();
+        }
+        let mut summary = Self::without_topics(bag);
+        for report in topics.into_values() {
+            let topic = report.statistics.summary();
+            summary.messages += topic.messages;
+            summary.problems.extend(topic.problems());
+            summary.topics.push(topic);
+            match report.content {
+                Content::Laser(laser) => summary.lasers.push(laser.summary()),
+                Content::Odometry(odometry) => summary.odometry.push(odometry),
+                Content::Other => {}
+            }
+        }
+        summary.problems.extend(summary.lasers.iter().flat_map(LaserSummary::problems));
+        summary.problems.extend(summary.odometry.iter().flat_map(OdometrySummary::problems));
+        summary.problems.extend(summary.what_is_missing());
+        Ok(summary)
+    }
+
+    /// Call it after the messages were read: some losses only show then.
+    fn without_topics(bag: &Bag) -> Self {
+        Self {
+            path: bag.path().display().to_string(),
+            size_bytes: bag.size(),
+            start_s: bag.span().map(|(start, _)| start.seconds()),
+            duration_s: bag.span().map_or(0.0, |(start, end)| end.seconds_since(start)),
+            messages: 0,
+            chunks: bag.compressions().into_iter().map(|(compression, chunks)| (compression.name(), chunks)).collect(),
+            topics: Vec::new(),
+            lasers: Vec::new(),
+            odometry: Vec::new(),
+            problems: bag.problems().iter().map(ToString::to_string).collect(),
+        }
+    }
+
+    fn what_is_missing(&self) -> Vec<String> {
+        let mut missing = Vec::new();
+        if self.messages == 0 {
+            missing.push("there are no messages".into());
+        } else if self.lasers.iter().all(|laser| laser.usable == 0) {
+            missing.push(format!("there are no usable scans ({}): nothing to match", LaserScan::TYPE));
+        }
+        if self.messages > 0 && self.odometry.is_empty() {
+            missing.push(format!("there is no odometry ({}): matching starts from constant velocity", Odometry::TYPE));
+        }
+        missing
+    }
+}
+
+/// What is gathered of a topic.
+struct TopicReport {
+    statistics: topic::Statistics,
+    content: Content,
+}
+
+enum Content {
+    Laser(laser::Statistics),
+    Odometry(OdometrySummary),
+    Other,
+}
+
+impl TopicReport {
+    fn new(connection: &Connection) -> Self {
+        let is = |name: &str, carries: bool| carries || connection.message_type == name;
+        let content = if is(LaserScan::TYPE, connection.carries::<LaserScan>()) {
+            Content::Laser(laser::Statistics::new(&connection.topic))
+        } else if is(Odometry::TYPE, connection.carries::<Odometry>()) {
+            Content::Odometry(OdometrySummary::new(&connection.topic))
+        } else {
+            Content::Other
+        };
+        Self { statistics: topic::Statistics::new(connection), content }
+    }
+
+    fn add(&mut self, message: &BagMessage<'_>) {
+        self.statistics.add(message);
+        match &mut self.content {
+            Content::Laser(laser) => laser.add(message),
+            Content::Odometry(odometry) => odometry.add(message),
+            Content::Other => {}
+        }
+    }
+}
+
+/// An error and what it came from, on one line.
+fn with_cause(error: &BagError) -> String {
+    match error.source() {
+        Some(cause) => format!("{error}: {cause}"),
+        None => error.to_string(),
+    }
+}

@@ -1,0 +1,133 @@
+//! Rates, gaps and stamps of a topic.
+
+use std::cmp::Ordering;
+
+use serde::Serialize;
+
+use crate::time::Stamp;
+
+use super::super::{BagMessage, Connection};
+
+/// An interval this many times the mean one is a gap. (Not the median one: that of logs written in bursts is next to nothing.)
+const GAP_FACTOR: f64 = 3.0;
+
+/// A topic and how its messages follow each other: by the stamps in their headers, or without headers by the times of recording.
+#[derive(Clone, Debug, Serialize)]
+pub struct TopicSummary {
+    /// Name.
+    pub topic: String,
+    /// Type of the messages.
+    pub message_type: String,
+    /// Number of messages read.
+    pub messages: u64,
+    /// Mean rate.
+    pub rate_hz: Option<f64>,
+    /// Longest interval between two messages.
+    pub longest_interval_s: Option<f64>,
+    /// Number of intervals of more than three times the mean length.
+    pub gaps: usize,
+    /// Stamps earlier than the one before.
+    pub stamps_back: u64,
+    /// Stamps equal to the one before.
+    pub stamps_repeated: u64,
+}
+
+impl TopicSummary {
+    pub(super) fn problems(&self) -> Vec<String> {
+        let Self { topic, messages, stamps_back, stamps_repeated, gaps, .. } = self;
+        let mut problems = Vec::new();
+        if *stamps_back > 0 {
+            problems.push(format!("{topic}: {stamps_back} of {messages} stamps go back in time"));
+        }
+        if *stamps_repeated > 0 {
+            problems.push(format!("{topic}: {stamps_repeated} of {messages} stamps repeat the one before"));
+        }
+        if let (1.., Some(longest)) = (*gaps, self.longest_interval_s) {
+            let plural = if *gaps == 1 { "" } else { "s" };
+            problems.push(format!("{topic}: {gaps} gap{plural}, the longest of {longest:.2} s"));
+        }
+        problems
+    }
+}
+
+/// A topic while its messages are read.
+pub(super) struct Statistics {
+    topic: String,
+    message_type: String,
+    has_header: bool,
+    messages: u64,
+    previous: Option<Stamp>,
+    /// Between each message and the one before, s, where time went on.
+    intervals: Vec<f64>,
+    stamps_back: u64,
+    stamps_repeated: u64,
+}
+
+impl Statistics {
+    pub(super) fn new(connection: &Connection) -> Self {
+        Self {
+            topic: connection.topic.clone(),
+            message_type: connection.message_type.clone(),
+            has_header: begins_with_header(&connection.definition),
+            messages: 0,
+            previous: None,
+            intervals: Vec::new(),
+            stamps_back: 0,
+            stamps_repeated: 0,
+        }
+    }
+
+    pub(super) fn add(&mut self, message: &BagMessage<'_>) {
+        self.messages += 1;
+        let stamp = if self.has_header { header_stamp(&message.data).unwrap_or(message.time) } else { message.time };
+        if let Some(previous) = self.previous.replace(stamp) {
+            match stamp.cmp(&previous) {
+                Ordering::Less => self.stamps_back += 1,
+                // Without stamps of their own two messages may well be recorded at once.
+                Ordering::Equal => self.stamps_repeated += u64::from(self.has_header),
+                Ordering::Greater => self.intervals.push(stamp.seconds_since(previous)),
+            }
+        }
+    }
+
+    pub(super) fn summary(self) -> TopicSummary {
+        let count = self.intervals.len() as f64;
+        let mean = (count > 0.0).then(|| self.intervals.iter().sum::<f64>() / count);
+        TopicSummary {
+            topic: self.topic,
+            message_type: self.message_type,
+            messages: self.messages,
+            rate_hz: mean.map(f64::recip),
+            longest_interval_s: self.intervals.iter().copied().reduce(f64::max),
+            gaps: self.intervals.iter().filter(|&&interval| mean.is_some_and(|mean| interval > GAP_FACTOR * mean)).count(),
+            stamps_back: self.stamps_back,
+            stamps_repeated: self.stamps_repeated,
+        }
+    }
+}
+
+/// Whether the first field of a message definition is a header.
+fn begins_with_header(definition: &str) -> bool {
+    let fields = definition.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
+    let first = fields.filter(|line| !line.is_empty() && !line.contains('=')).find_map(|line| line.split_whitespace().next());
+    matches!(first, Some("Header" | "std_msgs/Header"))
+}
+
+/// The stamp of a message that begins with a header: after the 32-bit sequence number.
+fn header_stamp(data: &[u8]) -> Option<Stamp> {
+    let word = |at: usize| data.get(at..at + 4)?.try_into().ok().map(u32::from_le_bytes);
+    Some(Stamp::from_ros(word(4)?, word(8)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn headers_are_told_by_the_definition() {
+        assert!(begins_with_header("# Single scan\n#\n\nHeader header # stamp of the first ray\nfloat32 angle_min"));
+        assert!(begins_with_header("uint8 KIND=1\nstd_msgs/Header header"));
+        assert!(!begins_with_header("geometry_msgs/TransformStamped[] transforms\n===\nMSG: x\nHeader header"));
+        assert!(!begins_with_header(""));
+    }
+}
