@@ -1,6 +1,8 @@
 //! Files: bags, trajectories, relations, maps.
 
 pub mod bag;
+pub mod map_file;
 pub mod relations;
+pub mod simulated_bag;
 pub mod text;
 pub mod tum;

@@ -5,6 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Message;
+use crate::geometry::Pose2;
 
 /// `geometry_msgs/Point`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -23,6 +24,14 @@ pub struct Quaternion {
     pub w: f64,
 }
 
+impl Quaternion {
+    /// A turn about the vertical, rad.
+    pub fn from_yaw(yaw: f64) -> Self {
+        let (z, w) = (0.5 * yaw).sin_cos();
+        Self { x: 0.0, y: 0.0, z, w }
+    }
+}
+
 /// `geometry_msgs/Vector3`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Vector3 {
@@ -36,6 +45,12 @@ pub struct Vector3 {
 pub struct Pose {
     pub position: Point,
     pub orientation: Quaternion,
+}
+
+impl From<Pose2> for Pose {
+    fn from(pose: Pose2) -> Self {
+        Self { position: Point { x: pose.x, y: pose.y, z: 0.0 }, orientation: Quaternion::from_yaw(pose.theta) }
+    }
 }
 
 /// `geometry_msgs/PoseStamped`.
@@ -117,6 +132,12 @@ impl Default for TwistWithCovariance {
 pub struct Transform {
     pub translation: Vector3,
     pub rotation: Quaternion,
+}
+
+impl From<Pose2> for Transform {
+    fn from(pose: Pose2) -> Self {
+        Self { translation: Vector3 { x: pose.x, y: pose.y, z: 0.0 }, rotation: Quaternion::from_yaw(pose.theta) }
+    }
 }
 
 /// `geometry_msgs/TransformStamped`.

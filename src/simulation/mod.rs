@@ -1,1 +1,20 @@
-//! A simulated racecar: world, lidar, vehicle.
+//! A simulated racecar: a world, a lidar, a vehicle and its odometer.
+//!
+//! [`drive::simulate`] puts them together: a [`scene`] gives the walls and the route through them, a [`driver`] steers the
+//! [`vehicle`] along the route into a [`motion`], and the [`lidar`] and the [`odometer`] measure that motion. The same seed makes
+//! the same messages, bit for bit.
+
+pub mod built_in;
+pub mod distance;
+pub mod drive;
+pub mod driver;
+pub mod grid;
+pub mod lidar;
+pub mod motion;
+pub mod odometer;
+pub mod planner;
+pub mod route;
+pub mod scene;
+pub mod shapes;
+pub mod vehicle;
+pub mod world;

@@ -4,8 +4,10 @@
 mod configuration;
 mod evaluate;
 mod info;
+mod knob_flags;
 mod replay;
 mod simulate;
+mod simulation_flags;
 
 use std::process::ExitCode;
 

@@ -1,11 +1,58 @@
 //! `anytime simulate`.
 
+use std::fs::File;
+use std::io::{BufWriter, Write, sink};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use anytime_scan_matcher::io::bag::{BagWriter, Compression};
+use anytime_scan_matcher::io::tum::TumWriter;
+use anytime_scan_matcher::io::{map_file, simulated_bag};
+use anytime_scan_matcher::knobs::KnobValue;
+use anytime_scan_matcher::simulation::built_in::BuiltIn;
+use anytime_scan_matcher::simulation::scene::Scene;
 use clap::Args;
+
+use crate::simulation_flags::SimulationFlags;
 
 /// Drive a simulated racecar and write its scans and odometry to a bag
 #[derive(Args)]
-pub(crate) struct Arguments {}
+pub(crate) struct Arguments {
+    /// Where to drive: corridor, room, or the YAML file of a map
+    #[arg(long)]
+    world: String,
+    /// The bag to write
+    #[arg(long, value_name = "X.bag")]
+    out: PathBuf,
+    /// Write the true pose of every scan to a TUM file
+    #[arg(long, value_name = "X.tum")]
+    truth: Option<PathBuf>,
+    /// How the chunks of the bag are packed: none, bz2 or lz4
+    #[arg(long, default_value = "lz4", value_parser = |text: &str| Compression::from_value(&text.into()))]
+    compression: Compression,
+    #[command(flatten)]
+    flags: SimulationFlags,
+}
 
-pub(crate) fn run(_arguments: &Arguments) -> anyhow::Result<()> {
-    anyhow::bail!("not built yet")
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let settings = arguments.flags.settings()?;
+    let scene = scene(&arguments.world, settings.drive.seed)?;
+    let truth: Box<dyn Write> = match &arguments.truth {
+        Some(path) => Box::new(BufWriter::new(File::create(path).with_context(|| format!("cannot create {}", path.display()))?)),
+        None => Box::new(sink()),
+    };
+    let bag = BagWriter::create(&arguments.out, arguments.compression)?;
+    let scans = simulated_bag::record(&settings, &scene, bag, TumWriter::new(truth))?;
+    println!("{}: {scans} scans", arguments.out.display());
+    Ok(())
+}
+
+fn scene(world: &str, seed: u32) -> anyhow::Result<Scene> {
+    match BuiltIn::from_value(&world.into()) {
+        Ok(which) => Ok(Scene::built_in(which)?),
+        Err(expected) => {
+            let map = map_file::read(Path::new(world)).with_context(|| format!("--world: {expected}, or a map"))?;
+            Scene::in_map(map, seed).with_context(|| format!("--world {world}"))
+        }
+    }
 }

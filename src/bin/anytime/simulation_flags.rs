@@ -1,0 +1,49 @@
+//! The flags that set knobs of the simulation.
+
+use anytime_scan_matcher::knobs::Value;
+use anytime_scan_matcher::simulation::drive::{DriveKnobs, Settings};
+use anytime_scan_matcher::simulation::lidar::LidarKnobs;
+use anytime_scan_matcher::simulation::odometer::OdometerKnobs;
+use anytime_scan_matcher::simulation::vehicle::VehicleKnobs;
+use clap::Args;
+
+use crate::knob_flags::{help, set, value};
+
+#[derive(Args)]
+pub(crate) struct SimulationFlags {
+    #[arg(long, value_parser = value, help = help::<DriveKnobs>("duration"))]
+    duration: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<DriveKnobs>("seed"))]
+    seed: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<VehicleKnobs>("drive"))]
+    drive: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<VehicleKnobs>("speed"))]
+    speed: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<LidarKnobs>("beams"))]
+    beams: Option<Value>,
+    #[arg(long, value_parser = |text: &str| value(text.trim_end_matches("deg")), help = help::<LidarKnobs>("field_of_view"))]
+    fov: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<LidarKnobs>("rate"))]
+    rate: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<LidarKnobs>("noise"))]
+    noise: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<OdometerKnobs>("rate"))]
+    odom_rate: Option<Value>,
+}
+
+impl SimulationFlags {
+    /// The defaults, with what the flags set.
+    pub(crate) fn settings(&self) -> anyhow::Result<Settings> {
+        let mut settings = Settings::default();
+        set(&mut settings.drive, "duration", self.duration.as_ref())?;
+        set(&mut settings.drive, "seed", self.seed.as_ref())?;
+        set(&mut settings.vehicle, "drive", self.drive.as_ref())?;
+        set(&mut settings.vehicle, "speed", self.speed.as_ref())?;
+        set(&mut settings.lidar, "beams", self.beams.as_ref())?;
+        set(&mut settings.lidar, "field_of_view", self.fov.as_ref())?;
+        set(&mut settings.lidar, "rate", self.rate.as_ref())?;
+        set(&mut settings.lidar, "noise", self.noise.as_ref())?;
+        set(&mut settings.odometer, "rate", self.odom_rate.as_ref())?;
+        Ok(settings)
+    }
+}

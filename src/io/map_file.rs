@@ -1,0 +1,130 @@
+//! Occupancy maps as `map_server` keeps them: a YAML file that describes an image.
+
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use thiserror::Error;
+
+use crate::geometry::Pose2;
+use crate::simulation::grid::{Cell, OccupancyGrid};
+
+/// Why a map cannot be used. Every message names the file.
+#[derive(Debug, Error)]
+pub enum MapError {
+    /// The YAML file cannot be read.
+    #[error("cannot read the map {}: {error}", .path.display())]
+    Unreadable {
+        /// The YAML file.
+        path: PathBuf,
+        /// The system's reason.
+        error: std::io::Error,
+    },
+    /// The YAML file does not describe a map.
+    #[error("map {}: {problem} (a map file has image, resolution, origin, negate, occupied_thresh and free_thresh)", .path.display())]
+    NotAMap {
+        /// The YAML file.
+        path: PathBuf,
+        /// What does not fit.
+        problem: String,
+    },
+    /// A field holds a number that makes no sense.
+    #[error("map {}: {field} is {value}: {remedy}", .path.display())]
+    BadField {
+        /// The YAML file.
+        path: PathBuf,
+        /// Name of the field.
+        field: &'static str,
+        /// What it holds.
+        value: String,
+        /// What it should hold.
+        remedy: &'static str,
+    },
+    /// The image cannot be read.
+    #[error("map {}: image {}: {problem} (the field image names a PNG or PGM file, relative to the map file)", .path.display(), .image.display())]
+    BadImage {
+        /// The YAML file.
+        path: PathBuf,
+        /// The image it names.
+        image: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+}
+
+/// The YAML file. Fields that other programs add are let pass.
+#[derive(Deserialize)]
+struct Description {
+    image: PathBuf,
+    resolution: f64,
+    origin: [f64; 3],
+    negate: u8,
+    occupied_thresh: f64,
+    free_thresh: f64,
+    mode: Option<String>,
+}
+
+/// Reads the map that a YAML file describes.
+pub fn read(path: &Path) -> Result<OccupancyGrid, MapError> {
+    let text = std::fs::read_to_string(path).map_err(|error| MapError::Unreadable { path: path.into(), error })?;
+    let not_a_map = |problem: String| MapError::NotAMap { path: path.into(), problem };
+    let description: Description = serde_saphyr::from_str(&text).map_err(|error| not_a_map(error.to_string()))?;
+    check(&description, path)?;
+    let (width, cells) = read_cells(&description, path)?;
+    let [x, y, yaw] = description.origin;
+    OccupancyGrid::new(width, description.resolution, Pose2::new(x, y, yaw), cells).map_err(|error| not_a_map(error.to_string()))
+}
+
+fn check(map: &Description, path: &Path) -> Result<(), MapError> {
+    let bad = |field, value: &dyn Display, remedy| {
+        Err(MapError::BadField { path: path.into(), field, value: value.to_string(), remedy })
+    };
+    if !(map.resolution.is_finite() && map.resolution > 0.0) {
+        return bad("resolution", &map.resolution, "it must be the side of a pixel in metres, more than 0");
+    }
+    if !map.origin.iter().all(|number| number.is_finite()) {
+        return bad("origin", &format!("{:?}", map.origin), "it must be [x, y, yaw] of the lower left pixel, metres and radians");
+    }
+    if map.negate > 1 {
+        return bad("negate", &map.negate, "it must be 0 (dark is occupied) or 1 (light is occupied)");
+    }
+    for (field, threshold) in [("occupied_thresh", map.occupied_thresh), ("free_thresh", map.free_thresh)] {
+        if !(0.0..=1.0).contains(&threshold) {
+            return bad(field, &threshold, "it must be a probability of 0 to 1");
+        }
+    }
+    if map.free_thresh >= map.occupied_thresh {
+        return bad("free_thresh", &map.free_thresh, "it must be less than occupied_thresh");
+    }
+    match map.mode.as_deref() {
+        None | Some("trinary") => Ok(()),
+        Some(mode) => bad("mode", &mode, "only trinary maps are read: free, occupied, unknown"),
+    }
+}
+
+/// The width of the image, and its pixels as cells from the lower left upwards.
+fn read_cells(map: &Description, path: &Path) -> Result<(usize, Vec<Cell>), MapError> {
+    let image_path = path.parent().unwrap_or(Path::new("")).join(&map.image);
+    let bad = |problem: String| MapError::BadImage { path: path.into(), image: image_path.clone(), problem };
+    let reader = image::ImageReader::open(&image_path).and_then(image::ImageReader::with_guessed_format);
+    let pixels = reader.map_err(|error| bad(error.to_string()))?.decode().map_err(|error| bad(error.to_string()))?.into_luma8();
+    let width = usize::try_from(pixels.width()).map_err(|error| bad(error.to_string()))?;
+    if width == 0 {
+        return Err(bad("it has no pixels".into()));
+    }
+    let rows = pixels.as_raw().chunks_exact(width).rev();
+    Ok((width, rows.flatten().map(|&shade| classify(shade, map)).collect()))
+}
+
+/// As `map_server` does: shades between the thresholds are unknown.
+fn classify(shade: u8, map: &Description) -> Cell {
+    let lightness = f64::from(shade) / 255.0;
+    let occupancy = if map.negate == 1 { lightness } else { 1.0 - lightness };
+    if occupancy > map.occupied_thresh {
+        Cell::Occupied
+    } else if occupancy < map.free_thresh {
+        Cell::Free
+    } else {
+        Cell::Unknown
+    }
+}

@@ -1,0 +1,188 @@
+//! Occupancy grids, and exact ray casting in them.
+
+use thiserror::Error;
+
+use crate::geometry::{Point, Pose2, RigidTransform};
+
+use super::distance::DistanceField;
+use super::world::World;
+
+/// What is known of one cell of a map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cell {
+    /// Nothing stands there.
+    Free,
+    /// A wall.
+    Occupied,
+    /// Nobody has looked: light passes, a car stays out.
+    Unknown,
+}
+
+/// Numbers that make no grid.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum GridError {
+    /// The side of a cell is not a positive number.
+    #[error("resolution is {0}: it must be a positive number of metres per cell")]
+    Resolution(f64),
+    /// The pose of the lower left corner is not finite.
+    #[error("origin is {0:?}: x, y and yaw must be finite")]
+    Origin(Pose2),
+    /// The number of cells is not width times height, or it is zero.
+    #[error("{cells} cells do not make {width} x {height}")]
+    Size {
+        /// Number of columns.
+        width: usize,
+        /// Number of rows.
+        height: usize,
+        /// Number of cells.
+        cells: usize,
+    },
+}
+
+/// A map of square cells.
+#[derive(Clone, Debug)]
+pub struct OccupancyGrid {
+    width: usize,
+    height: usize,
+    resolution: f64,
+    map_from_grid: RigidTransform,
+    grid_from_map: RigidTransform,
+    cells: Vec<Cell>,
+}
+
+impl OccupancyGrid {
+    /// A grid of `width` columns, its rows from the bottom up. `origin` is the pose of the lower left corner of the first cell;
+    /// `resolution` is the side of a cell, m.
+    pub fn new(width: usize, resolution: f64, origin: Pose2, cells: Vec<Cell>) -> Result<Self, GridError> {
+        let height = cells.len().checked_div(width).unwrap_or(0);
+        if height == 0 || width * height != cells.len() {
+            return Err(GridError::Size { width, height, cells: cells.len() });
+        }
+        if !(resolution.is_finite() && resolution > 0.0) {
+            return Err(GridError::Resolution(resolution));
+        }
+        if !origin.is_finite() {
+            return Err(GridError::Origin(origin));
+        }
+        let (map_from_grid, grid_from_map) = (origin.transform(), origin.inverse().transform());
+        Ok(Self { width, height, resolution, map_from_grid, grid_from_map, cells })
+    }
+
+    /// Number of columns.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Number of rows.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Side of a cell, m.
+    pub fn resolution(&self) -> f64 {
+        self.resolution
+    }
+
+    /// The cell in a column and row; `None` outside the map.
+    pub fn cell(&self, column: i64, row: i64) -> Option<Cell> {
+        let (column, row) = (usize::try_from(column).ok()?, usize::try_from(row).ok()?);
+        (column < self.width && row < self.height).then(|| self.cells[row * self.width + column])
+    }
+
+    /// Every cell, row by row from the bottom up.
+    pub fn cells(&self) -> &[Cell] {
+        &self.cells
+    }
+
+    /// The centre of a cell in the map frame.
+    pub fn centre(&self, column: usize, row: usize) -> Point {
+        self.map_from_grid.apply(Point::new(column as f64 + 0.5, row as f64 + 0.5) * self.resolution)
+    }
+
+    /// Column and row of a point of the map frame, with fractions.
+    pub fn coordinates(&self, point: Point) -> Point {
+        self.grid_from_map.apply(point) / self.resolution
+    }
+
+    /// Distance from `origin` along the unit vector `direction` to the first occupied cell that the ray enters, m; `None` if there
+    /// is none within `max` and within the map, or if the ray begins outside. Every cell on the way is looked at (Amanatides and
+    /// Woo, 1987).
+    pub fn range(&self, origin: Point, direction: Point, max: f64) -> Option<f64> {
+        let start = self.coordinates(origin);
+        let direction = self.grid_from_map.rotate(direction);
+        let mut x = Walk::new(start.x, direction.x);
+        let mut y = Walk::new(start.y, direction.y);
+        let reach = max / self.resolution;
+        let mut travelled = 0.0;
+        while travelled <= reach {
+            if self.cell(x.cell, y.cell)? == Cell::Occupied {
+                return Some(travelled * self.resolution);
+            }
+            travelled = if x.next < y.next { x.advance() } else { y.advance() };
+        }
+        None
+    }
+}
+
+/// The walk of a ray along one axis of the grid; lengths along the ray, in cells.
+struct Walk {
+    cell: i64,
+    step: i64,
+    /// Length at which the ray enters the next cell.
+    next: f64,
+    /// Length from one crossing to the following one.
+    stride: f64,
+}
+
+impl Walk {
+    #[allow(clippy::cast_possible_truncation)] // saturates: far outside any map
+    fn new(start: f64, direction: f64) -> Self {
+        let cell = start.floor();
+        let forward = direction > 0.0;
+        let boundary = if forward { cell + 1.0 } else { cell };
+        let next = if direction == 0.0 { f64::INFINITY } else { (boundary - start) / direction };
+        Self { cell: cell as i64, step: if forward { 1 } else { -1 }, next, stride: direction.abs().recip() }
+    }
+
+    /// Enters the next cell; returns the length at which that happens.
+    fn advance(&mut self) -> f64 {
+        let entered = self.next;
+        self.cell = self.cell.saturating_add(self.step);
+        self.next += self.stride;
+        entered
+    }
+}
+
+/// A map to drive in: the grid with the clearance of every cell.
+#[derive(Clone, Debug)]
+pub struct GridWorld {
+    grid: OccupancyGrid,
+    clearance: DistanceField,
+}
+
+impl GridWorld {
+    /// Computes the clearances. What is not known to be free counts as a wall for them.
+    pub fn new(grid: OccupancyGrid) -> Self {
+        let clearance = DistanceField::new(grid.width(), grid.cells().iter().map(|&cell| cell != Cell::Free));
+        Self { grid, clearance }
+    }
+
+    /// The map.
+    pub fn grid(&self) -> &OccupancyGrid {
+        &self.grid
+    }
+}
+
+impl World for GridWorld {
+    fn range(&self, origin: Point, direction: Point, max: f64) -> Option<f64> {
+        self.grid.range(origin, direction, max)
+    }
+
+    #[allow(clippy::cast_possible_truncation)] // saturates: far outside any map
+    fn clearance(&self, point: Point) -> f64 {
+        let cell = self.grid.coordinates(point);
+        let centres = self.clearance.at(cell.x.floor() as i64, cell.y.floor() as i64);
+        // From centre to centre; the point and the wall may each be half a diagonal nearer.
+        (centres - std::f64::consts::SQRT_2).max(0.0) * self.grid.resolution()
+    }
+}

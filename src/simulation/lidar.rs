@@ -1,0 +1,120 @@
+//! A simulated laser scanner.
+
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+use crate::geometry::{Point, Pose2};
+use crate::knobs;
+use crate::knobs::Seconds;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::std_msgs::Header;
+use crate::scan::BeamGeometry;
+use crate::time::Stamp;
+
+use super::motion::Motion;
+use super::world::World;
+
+knobs! {
+    /// The simulated laser scanner.
+    pub struct LidarKnobs {
+        /// Rays of a scan.
+        beams: u32 = 1081, in 10 to 10000;
+        /// Angle between the first and the last ray; at 360 the last stops one step short of the first.
+        field_of_view: f64 = 270.0, in 10 to 360, unit "deg";
+        /// Scans per second.
+        rate: f64 = 40.0, in 0.1 to 1000, unit "Hz";
+        /// Nearest distance measured; nearer walls give -inf (REP 117).
+        range_min: f64 = 0.06, in 0 to 10, unit "m";
+        /// Farthest distance measured; a ray that meets nothing within gives inf (REP 117).
+        range_max: f64 = 30.0, in 0.5 to 1000, unit "m";
+        /// Standard deviation of the ranges.
+        noise: f64 = 0.01, in 0 to 1, unit "m";
+        /// Ranges are whole multiples of this; 0: unrounded.
+        range_resolution: f64 = 0.001, in 0 to 1, unit "m";
+        /// Time from ray to ray. 0: a scan is taken in an instant, and motion does not distort it.
+        time_increment: Seconds = Seconds(0.0), in 0 to 0.01, unit "s";
+        /// Where the laser sits on the car.
+        laser_in_base: Pose2 = Pose2::new(0.275, 0.0, 0.0), unit "m, m, rad";
+    }
+}
+
+/// The frame of the laser.
+pub const LASER_FRAME: &str = "laser";
+
+/// A laser scanner on a car.
+#[derive(Clone, Debug)]
+pub struct Lidar<'a> {
+    knobs: &'a LidarKnobs,
+    /// What every scan has in common, with the numbers as the message rounds them.
+    template: LaserScan,
+    beams: BeamGeometry,
+    random: Pcg64,
+}
+
+impl<'a> Lidar<'a> {
+    /// A scanner with its own source of noise.
+    #[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
+    pub fn new(knobs: &'a LidarKnobs, random: Pcg64) -> Self {
+        let beams = f64::from(knobs.beams);
+        let view = knobs.field_of_view.to_radians();
+        let steps = if knobs.field_of_view < 360.0 { beams - 1.0 } else { beams };
+        let angle_min = (-0.5 * view) as f32;
+        let angle_increment = (view / steps) as f32;
+        let template = LaserScan {
+            header: Header { frame_id: LASER_FRAME.into(), ..Header::default() },
+            angle_min,
+            angle_max: angle_min + angle_increment * (beams - 1.0) as f32,
+            angle_increment,
+            time_increment: knobs.time_increment.0 as f32,
+            scan_time: knobs.rate.recip() as f32,
+            range_min: knobs.range_min as f32,
+            range_max: knobs.range_max as f32,
+            ..LaserScan::default()
+        };
+        // The true beams are those that a reader of the message computes.
+        let beams = BeamGeometry::new(angle_min.into(), angle_increment.into(), knobs.beams as usize);
+        Self { knobs, template, beams, random }
+    }
+
+    /// Time from the first ray of a scan to the last, s.
+    pub fn sweep_time(&self) -> f64 {
+        self.ray_time(self.beams.len() - 1)
+    }
+
+    fn ray_time(&self, ray: usize) -> f64 {
+        ray as f64 * f64::from(self.template.time_increment)
+    }
+
+    /// The scan whose first ray leaves `seconds` after the start of the drive; it is stamped `stamp`.
+    pub fn scan(&mut self, world: &dyn World, motion: &Motion, seconds: f64, stamp: Stamp) -> LaserScan {
+        let distance = |(ray, &direction): (usize, &Point)| {
+            let laser = motion.pose_at(seconds + self.ray_time(ray)) * self.knobs.laser_in_base;
+            world.range(laser.translation(), laser.transform().rotate(direction), self.knobs.range_max)
+        };
+        let distances: Vec<Option<f64>> = self.beams.directions().iter().enumerate().map(distance).collect();
+        let mut scan = self.template.clone();
+        scan.header.stamp = stamp.into();
+        scan.ranges = distances.into_iter().map(|distance| self.reading(distance)).collect();
+        scan
+    }
+
+    /// What the scanner says of a wall at `distance`.
+    #[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
+    fn reading(&mut self, distance: Option<f64>) -> f32 {
+        let error: f64 = StandardNormal.sample(&mut self.random);
+        let Some(distance) = distance else { return f32::INFINITY };
+        let measured = round_to(distance + self.knobs.noise * error, self.knobs.range_resolution);
+        if measured > self.knobs.range_max {
+            f32::INFINITY
+        } else if measured < self.knobs.range_min {
+            f32::NEG_INFINITY
+        } else {
+            measured as f32
+        }
+    }
+}
+
+/// The multiple of `step` nearest to `value`; the value itself when `step` is 0.
+fn round_to(value: f64, step: f64) -> f64 {
+    if step > 0.0 { (value / step).round() * step } else { value }
+}

@@ -1,0 +1,12 @@
+//! What a simulated laser sees and a simulated car must not touch.
+
+use crate::geometry::Point;
+
+/// A place with walls.
+pub trait World {
+    /// Distance from `origin` along the unit vector `direction` to the nearest wall, m; `None` if there is none within `max`.
+    fn range(&self, origin: Point, direction: Point, max: f64) -> Option<f64>;
+
+    /// A distance around `point` that is known to be clear, m: at most the true distance to what one could hit, 0 where one must not be.
+    fn clearance(&self, point: Point) -> f64;
+}
