@@ -67,18 +67,22 @@ impl Jumps {
     /// Walks from `start` and improves `best`. `ahead_sign` is +1 when the walk turns counter-clockwise, else -1.
     #[inline]
     fn walk(&self, rays: &[Ray], point: Point, start: u32, ahead_sign: f64, mut best: Nearest) -> Nearest {
-        let mut past = false;
+        let (mut past, mut farthest) = (false, 0.0);
         let mut i = start;
         while let Some(Ray { direction, range }) = rays.get(i as usize) {
             let along = point.dot(direction);
             let across = ahead_sign * point.perp(direction);
-            // More than 90 degrees off, or come round from behind.
-            if along <= 0.0 || (past && across < 0.0) {
+            // Within 90 degrees `across` grows with every step past the point: where it does not, the walk has come round a ring.
+            let in_front = along > 0.0;
+            if !in_front || (past && across <= farthest) {
                 break;
             }
             past = across >= 0.0;
-            if past && across * across >= best.squared_distance {
-                break;
+            if past {
+                if across * across >= best.squared_distance {
+                    break;
+                }
+                farthest = across;
             }
             let short_of = along - range;
             let squared_distance = short_of * short_of + across * across;
