@@ -21,11 +21,11 @@ crate::knobs! {
         /// Of several sensed points on one reference point, keep the nearest only.
         remove_duplicates: bool = true;
         /// Part of the correspondences to keep, smallest errors first (trimming).
-        trim_percentile: f64 = 0.95, in 0.1 to 1;
+        trim_percentile: f64 = 0.98, in 0.1 to 1;
         /// Adaptive trimming: the error at this percentile, times `adaptive_multiplier`, is the largest allowed.
         adaptive_percentile: f64 = 0.7, in 0.1 to 1;
         /// See `adaptive_percentile`.
-        adaptive_multiplier: f64 = 4.0, in 1 to 1000;
+        adaptive_multiplier: f64 = 6.0, in 1 to 1000;
     }
 }
 

@@ -37,9 +37,9 @@ crate::knobs! {
         /// What a scan is matched to: the scan before, or the last keyframe.
         reference: ReferenceChoice = ReferenceChoice::Keyframe;
         /// A new keyframe after this way.
-        keyframe_distance: f64 = 0.3, in 0 to 100, unit "m";
+        keyframe_distance: f64 = 0.5, in 0 to 100, unit "m";
         /// A new keyframe after this turn.
-        keyframe_angle: f64 = 0.26, in 0 to 4, unit "rad";
+        keyframe_angle: f64 = 0.35, in 0 to 4, unit "rad";
         /// Pose of the laser in the base frame, `[x, y, yaw]`; unset: from `/tf` or `/tf_static`, else the identity, with a warning.
         laser_in_base: Option<Pose2> = None, unit "m, m, rad";
         /// Pose of the base at the start, `[x, y, yaw]` in the odom frame.
