@@ -16,8 +16,19 @@ use rand_pcg::Pcg64;
 const NOISE: f64 = 0.01;
 
 fn matcher(solver: SolverKind) -> Matcher {
-    let knobs = MatchingKnobs { solver, epsilon_translation: 1e-9, epsilon_rotation: 1e-9, max_iterations: 100, ..MatchingKnobs::default() };
-    let keep_all = RejectionKnobs { remove_duplicates: false, trim_percentile: 1.0, adaptive_multiplier: 1000.0, ..RejectionKnobs::default() };
+    let knobs = MatchingKnobs {
+        solver,
+        epsilon_translation: 1e-9,
+        epsilon_rotation: 1e-9,
+        max_iterations: 100,
+        ..MatchingKnobs::default()
+    };
+    let keep_all = RejectionKnobs {
+        remove_duplicates: false,
+        trim_percentile: 1.0,
+        adaptive_multiplier: 1000.0,
+        ..RejectionKnobs::default()
+    };
     Matcher::new(&knobs, &keep_all)
 }
 

@@ -36,15 +36,23 @@ fn layer(module: &str) -> usize {
     if TOP.contains(&module) {
         return LAYERS.len();
     }
-    LAYERS.iter().position(|layer| layer.contains(&module)).unwrap_or_else(|| panic!("{module} is in no layer: add it to tests/layers.rs"))
+    LAYERS
+        .iter()
+        .position(|layer| layer.contains(&module))
+        .unwrap_or_else(|| panic!("{module} is in no layer: add it to tests/layers.rs"))
 }
 
 /// Names after `crate::` in code, comments left out.
 fn imports(text: &str) -> Vec<String> {
     let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
-    code.flat_map(|line| line.split("crate::").skip(1).map(|rest| rest.split(|c: char| !(c.is_alphanumeric() || c == '_')).next().unwrap().to_owned()).collect::<Vec<_>>())
-        .filter(|name| !["choices", "knobs", ""].contains(&name.as_str()))
-        .collect()
+    code.flat_map(|line| {
+        line.split("crate::")
+            .skip(1)
+            .map(|rest| rest.split(|c: char| !(c.is_alphanumeric() || c == '_')).next().unwrap().to_owned())
+            .collect::<Vec<_>>()
+    })
+    .filter(|name| !["choices", "knobs", ""].contains(&name.as_str()))
+    .collect()
 }
 
 #[test]

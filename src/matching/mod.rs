@@ -36,8 +36,8 @@ crate::knobs! {
         epsilon_translation: f64 = 1e-4, in 0 to 1, unit "m";
         /// See `epsilon_translation`.
         epsilon_rotation: f64 = 1e-4, in 0 to 1, unit "rad";
-        /// Least part of the sensed rays that must keep a correspondence.
-        min_inlier_ratio: f64 = 0.2, in 0 to 1;
+        /// Least part of the sensed rays that must find a correspondence.
+        min_correspondence_ratio: f64 = 0.2, in 0 to 1;
         /// Standard deviation of a range, for the covariance; where the residuals say more, they count.
         range_noise: f64 = 0.01, in 0.0001 to 1, unit "m";
     }
@@ -177,7 +177,8 @@ impl Refinement<'_> {
         pair_up(&m.reference, &m.moved, &m.nearest, m.solver.metric(), &mut m.pairs);
         let correspondences = m.pairs.len();
         m.rejection.apply(&mut m.pairs, &m.nearest, m.reference.len());
-        if m.pairs.len() < m.fewest_pairs() {
+        let share = correspondences as f64 / m.sensed.len() as f64;
+        if share < m.knobs.min_correspondence_ratio || m.pairs.len() < FEWEST_PAIRS {
             return Err(StopReason::TooFewCorrespondences);
         }
         let pose = m.solver.solve(&m.quadratic_form(), &self.pose).ok_or(StopReason::Singular)?;
@@ -260,12 +261,6 @@ impl Refinement<'_> {
 }
 
 impl Matcher {
-    fn fewest_pairs(&self) -> usize {
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a fraction of a length
-        let share = (self.knobs.min_inlier_ratio * self.sensed.len() as f64).ceil() as usize;
-        share.max(FEWEST_PAIRS)
-    }
-
     fn quadratic_form(&self) -> QuadraticForm {
         let mut form = QuadraticForm::default();
         for pair in &self.pairs {
