@@ -10,6 +10,8 @@ pub mod knobs;
 pub mod matching;
 pub mod messages;
 pub mod odometry;
+#[cfg(feature = "ros")]
+pub mod ros;
 pub mod scan;
 pub mod simulation;
 pub mod time;
