@@ -36,9 +36,15 @@ pub fn run() -> Result<(), NodeError> {
         return Ok(());
     }
     let ros = Ros::new(NAME).map_err(|error| NodeError::ros("start as a ROS node", &error))?;
+    let outcome = serve(&ros, &stop);
+    ros.shutdown_sender().shutdown(); // takes the last entry out of the master's books: rosrust's own publisher of /rosout
+    outcome
+}
+
+fn serve(ros: &Ros, stop: &StopSignal) -> Result<(), NodeError> {
     let master = connect(ros.name(), ros.uri())?;
     let config = params::read(&master, ros.name())?;
-    Node::start(&ros, &master, &config)?.supervise(&stop);
+    Node::start(ros, &master, &config)?.supervise(stop);
     Ok(())
 }
 
