@@ -250,7 +250,8 @@ impl App {
     }
 }
 
-fn planar_pose(pose: &Pose) -> Result<Pose2, InputError> {
+/// The pose in the plane that a message holds.
+pub fn planar_pose(pose: &Pose) -> Result<Pose2, InputError> {
     let yaw = yaw(&pose.orientation)?;
     let planar = Pose2::new(pose.position.x, pose.position.y, yaw);
     if planar.is_finite() { Ok(planar) } else { Err(InputError::PoseNotFinite) }

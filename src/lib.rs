@@ -10,6 +10,7 @@ pub mod knobs;
 pub mod matching;
 pub mod messages;
 pub mod odometry;
+pub mod replay;
 #[cfg(feature = "ros")]
 pub mod ros;
 pub mod scan;

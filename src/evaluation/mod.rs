@@ -1,1 +1,13 @@
 //! Trajectories against truth: ATE, RPE, relations; plots.
+//!
+//! [`trajectory`] and [`association`] bring the poses together, [`ate`], [`rpe`] and [`relations`] are the three metrics, each a
+//! set of pose errors that [`statistics`] sums up; [`report`] is all of it for people and machines, [`plot`] the picture.
+
+pub mod association;
+pub mod ate;
+pub mod plot;
+pub mod relations;
+pub mod report;
+pub mod rpe;
+pub mod statistics;
+pub mod trajectory;

@@ -1,11 +1,58 @@
 //! `anytime evaluate`.
 
+use std::path::PathBuf;
+
+use anytime_scan_matcher::evaluation::plot::trajectory_plot;
+use anytime_scan_matcher::evaluation::report::{Comparison, Report};
+use anytime_scan_matcher::io::{relations, tum};
 use clap::Args;
 
 /// Compare a trajectory with the truth: ATE, RPE, relations
 #[derive(Args)]
-pub(crate) struct Arguments {}
+pub(crate) struct Arguments {
+    /// Trajectory: lines of `timestamp x y z qx qy qz qw` (TUM) or `timestamp x y theta`
+    trajectory: PathBuf,
+    #[command(flatten)]
+    reference: Reference,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Draw the trajectory (and the truth and the errors) to this SVG file
+    #[arg(long, value_name = "OUT.svg")]
+    plot: Option<PathBuf>,
+    /// Length of path over which RPE measures drift, m
+    #[arg(long, value_name = "M", default_value_t = Comparison::default().rpe_distance, value_parser = positive)]
+    rpe_distance: f64,
+    /// Poses further apart in time do not belong together, s
+    #[arg(long, value_name = "S", default_value_t = Comparison::default().max_dt, value_parser = positive)]
+    max_dt: f64,
+}
 
-pub(crate) fn run(_arguments: &Arguments) -> anyhow::Result<()> {
-    anyhow::bail!("not built yet")
+#[derive(Args)]
+#[group(required = true, multiple = true)]
+struct Reference {
+    /// True trajectory, same format
+    #[arg(long, value_name = "X.tum")]
+    truth: Option<PathBuf>,
+    /// True motions: lines of `t1 t2 x y z roll pitch yaw` (Kuemmerle et al. 2009)
+    #[arg(long, value_name = "X.relations")]
+    relations: Option<PathBuf>,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or_else(|| "expected a number above 0".into())
+}
+
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let Arguments { trajectory, reference, json, plot, rpe_distance, max_dt } = arguments;
+    let estimate = tum::read(trajectory)?;
+    let truth = reference.truth.as_deref().map(tum::read).transpose()?;
+    let relations = reference.relations.as_deref().map(relations::read).transpose()?;
+    let comparison = Comparison { max_dt: *max_dt, rpe_distance: *rpe_distance };
+    let report = Report::new(&estimate, truth.as_ref(), relations.as_deref(), comparison)?;
+    if let Some(path) = plot {
+        trajectory_plot(path, &estimate, truth.as_ref(), None, *max_dt)?;
+    }
+    println!("{}", if *json { report.to_json().to_string() } else { report.to_string() });
+    Ok(())
 }

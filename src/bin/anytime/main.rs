@@ -1,8 +1,10 @@
 //! The offline tool: needs no ROS at all.
 #![allow(clippy::print_stdout, clippy::print_stderr)] // a program speaks to its user
 
+mod configuration;
 mod evaluate;
 mod info;
+mod replay;
 mod simulate;
 
 use std::process::ExitCode;
@@ -19,6 +21,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Replay(replay::Arguments),
     Info(info::Arguments),
     Simulate(simulate::Arguments),
     Evaluate(evaluate::Arguments),
@@ -26,6 +29,7 @@ enum Command {
 
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
+        Command::Replay(arguments) => replay::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),

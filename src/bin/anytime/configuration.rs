@@ -1,0 +1,29 @@
+//! The arguments by which every subcommand takes its knobs.
+
+use std::path::PathBuf;
+
+use anytime_scan_matcher::config::{Config, ConfigError};
+use clap::Args;
+
+#[derive(Args)]
+pub(crate) struct Configuration {
+    /// Parameters from a YAML file, the same as the node's
+    #[arg(long, value_name = "FILE.yaml")]
+    config: Option<PathBuf>,
+    /// Set one parameter, such as matching.max_iterations=8; may be given many times
+    #[arg(long, value_name = "NAME=VALUE")]
+    set: Vec<String>,
+}
+
+impl Configuration {
+    pub(crate) fn load(&self) -> Result<Config, ConfigError> {
+        let mut config = Config::default();
+        if let Some(path) = &self.config {
+            config.set_file(path)?;
+        }
+        for assignment in &self.set {
+            config.set_assignment(assignment)?;
+        }
+        Ok(config)
+    }
+}

@@ -1,0 +1,153 @@
+//! The top view: truth, estimate and scan points in the plane, a metre as long along both axes.
+
+use std::collections::BTreeSet;
+use std::ops::Range;
+
+use plotters::prelude::*;
+
+use super::{Canvas, DrawError, style};
+use crate::geometry::Point;
+
+/// Least and greatest height of the plot, pixels.
+const HEIGHTS: (f64, f64) = (500.0, 1500.0);
+/// Side of the squares that stand for scan points, pixels.
+const CELL: f64 = 3.0;
+
+/// All that is seen from above, in one frame.
+pub(super) struct TopView {
+    pub(super) estimate: Vec<Point>,
+    /// Empty when there is none.
+    pub(super) truth: Vec<Point>,
+    /// Empty when there are none.
+    pub(super) scan_points: Vec<Point>,
+}
+
+/// The part of the plane in view.
+pub(super) struct Window {
+    x: Range<f64>,
+    y: Range<f64>,
+    /// Height of the plot, pixels.
+    pub(super) height: u32,
+    metres_per_pixel: f64,
+}
+
+impl Window {
+    pub(super) fn is_finite(&self) -> bool {
+        [self.x.start, self.x.end, self.y.start, self.y.end, self.metres_per_pixel].iter().all(|v| v.is_finite())
+    }
+}
+
+impl TopView {
+    /// The window that holds everything, as large as the picture's width or greatest height allows.
+    pub(super) fn window(&self) -> Window {
+        let (x, y) = (self.extent(|p| p.x), self.extent(|p| p.y));
+        let (width_m, height_m) = (x.end - x.start, y.end - y.start);
+        let width = f64::from(style::PLOT_WIDTH);
+        let height = (width * height_m / width_m).clamp(HEIGHTS.0, HEIGHTS.1).round();
+        let metres_per_pixel = (width_m / width).max(height_m / height);
+        let around = |extent: &Range<f64>, pixels: f64| {
+            let (middle, half) = (f64::midpoint(extent.start, extent.end), 0.5 * metres_per_pixel * pixels);
+            middle - half..middle + half
+        };
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // clamped above
+        Window { x: around(&x, width), y: around(&y, height), height: height as u32, metres_per_pixel }
+    }
+
+    /// What has to be in view along one axis, with some air: the paths whole, of the scans all but the outermost 1 %.
+    fn extent(&self, coordinate: fn(&Point) -> f64) -> Range<f64> {
+        let mut scans: Vec<f64> = self.scan_points.iter().map(coordinate).collect();
+        scans.sort_by(f64::total_cmp);
+        let outermost = scans.len() / 100;
+        let paths = self.estimate.iter().chain(&self.truth).map(coordinate);
+        let (low, high) = paths
+            .chain(scans[outermost..scans.len() - outermost].iter().copied())
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+        let air = (0.04 * (high - low)).max(0.5);
+        low - air..high + air
+    }
+
+    pub(super) fn draw(&self, area: &Canvas, window: &Window) -> Result<(), DrawError> {
+        let mut chart = ChartBuilder::on(area)
+            .margin(style::MARGIN)
+            .x_label_area_size(style::X_LABELS)
+            .y_label_area_size(style::Y_LABELS)
+            .build_cartesian_2d(window.x.clone(), window.y.clone())?;
+        chart
+            .configure_mesh()
+            .label_style(style::TYPE.into_text_style(area).color(&style::INK))
+            .axis_style(style::INK)
+            .bold_line_style(style::GRID)
+            .light_line_style(TRANSPARENT)
+            .x_labels(12)
+            .y_labels((window.height / 100) as usize)
+            .x_label_formatter(&style::tick)
+            .y_label_formatter(&style::tick)
+            .x_desc("x [m]")
+            .y_desc("y [m]")
+            .draw()?;
+
+        let side = CELL * window.metres_per_pixel;
+        let bar = |(row, columns): (i32, Range<i32>)| {
+            let at = |column: i32| window.x.start + side * f64::from(column);
+            let bottom = window.y.start + side * f64::from(row);
+            let top = bottom + side + window.metres_per_pixel; // overlaps the next row: rounding must leave no gap
+            Rectangle::new([(at(columns.start), top), (at(columns.end), bottom)], style::SCANS.filled())
+        };
+        chart.draw_series(self.scan_runs(window, side).into_iter().map(bar))?;
+        for (points, colour, width) in [
+            (&self.truth, style::TRUTH, style::TRUTH_WIDTH), // below, and wider: seen where the estimate covers it
+            (&self.estimate, style::ESTIMATE, style::ESTIMATE_WIDTH),
+        ] {
+            chart.draw_series(LineSeries::new(points.iter().map(|p| (p.x, p.y)), colour.stroke_width(width)))?;
+        }
+        for (mark, colour) in [(self.estimate.first(), style::START), (self.estimate.last(), style::END)] {
+            let disc = |radius, colour: RGBColor| mark.map(|p| Circle::new((p.x, p.y), radius, colour.filled()));
+            chart.draw_series(disc(style::MARK_RADIUS + 4, WHITE).into_iter().chain(disc(style::MARK_RADIUS, colour)))?;
+        }
+        Ok(())
+    }
+
+    /// Runs of neighbouring grid cells that hold scan points, as row and columns from the window's lower left: a log has millions
+    /// of points, a picture room for thousands.
+    fn scan_runs(&self, window: &Window, side: f64) -> Vec<(i32, Range<i32>)> {
+        #[allow(clippy::cast_possible_truncation)] // within the window: a few hundred
+        let index = |v: f64, start: f64| ((v - start) / side) as i32;
+        let in_view = |p: &&Point| window.x.contains(&p.x) && window.y.contains(&p.y);
+        let cell = |p: &Point| (index(p.y, window.y.start), index(p.x, window.x.start));
+        let cells: BTreeSet<_> = self.scan_points.iter().filter(in_view).map(cell).collect();
+        let mut runs: Vec<(i32, Range<i32>)> = Vec::new();
+        for (row, column) in cells {
+            match runs.last_mut() {
+                Some((last_row, columns)) if *last_row == row && columns.end == column => columns.end += 1,
+                _ => runs.push((row, column..column + 1)),
+            }
+        }
+        runs
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scan_points_merge_into_runs_and_those_out_of_view_are_left_out() {
+        let scan_points = [(0.1, 0.1), (0.2, 0.3), (1.5, 0.5), (3.5, 0.5), (0.5, 2.5), (9.0, 0.5), (0.5, -0.1)];
+        let scan_points = scan_points.map(|(x, y)| Point::new(x, y)).to_vec();
+        let view = TopView { estimate: vec![Point::zeros()], truth: vec![], scan_points };
+        let window = Window { x: 0.0..5.0, y: 0.0..5.0, height: 500, metres_per_pixel: 0.01 };
+        assert_eq!(view.scan_runs(&window, 1.0), [(0, 0..2), (0, 3..4), (2, 0..1)]);
+    }
+
+    #[test]
+    fn a_metre_is_as_long_along_both_axes_and_everything_is_in_view() {
+        for (x, y) in [(0.0, 0.0), (100.0, 1.0), (1.0, 100.0), (30.0, 20.0)] {
+            let view = TopView { estimate: vec![Point::zeros(), Point::new(x, y)], truth: vec![], scan_points: vec![] };
+            let Window { x: across, y: up, height, metres_per_pixel } = view.window();
+            assert!(across.contains(&0.0) && across.contains(&x) && up.contains(&0.0) && up.contains(&y));
+            for (extent, pixels) in [(across, style::PLOT_WIDTH), (up, height)] {
+                assert!(((extent.end - extent.start) / f64::from(pixels) - metres_per_pixel).abs() < 1e-12);
+            }
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! The three ways in which chunks are packed.
+
+use std::io::{self, Read, Write};
+
+use lz4_flex::frame::{BlockMode, BlockSize, FrameDecoder, FrameEncoder, FrameInfo};
+
+crate::choices! {
+    /// How the chunks of a bag are packed.
+    pub enum Compression {
+        /// Not at all: fastest to write.
+        None = "none",
+        /// Small but slow.
+        Bz2 = "bz2",
+        /// Fast, and nearly as small.
+        Lz4 = "lz4",
+    }
+}
+
+impl Compression {
+    pub(super) fn from_name(name: &[u8]) -> Option<Self> {
+        Self::ALL.iter().copied().find(|compression| compression.name().as_bytes() == name)
+    }
+
+    pub(super) fn pack(self, bytes: &[u8]) -> io::Result<Vec<u8>> {
+        match self {
+            Self::None => Ok(bytes.to_vec()),
+            Self::Bz2 => {
+                let mut encoder = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::best());
+                encoder.write_all(bytes)?;
+                encoder.finish()
+            }
+            Self::Lz4 => {
+                // The decoder of ROS takes independent blocks only, without checksums of their own.
+                let frame =
+                    FrameInfo::new().block_mode(BlockMode::Independent).block_size(BlockSize::Max64KB).content_checksum(true);
+                let mut encoder = FrameEncoder::with_frame_info(frame, Vec::new());
+                encoder.write_all(bytes)?;
+                Ok(encoder.finish()?)
+            }
+        }
+    }
+
+    /// Unpacks at most `limit` bytes. When the packed bytes are damaged or cut off, what came out before is there too.
+    pub(super) fn unpack(self, packed: Vec<u8>, limit: u64) -> (Vec<u8>, io::Result<()>) {
+        let mut bytes = Vec::new();
+        let outcome = match self {
+            Self::None => return (packed, Ok(())),
+            Self::Bz2 => bzip2::read::BzDecoder::new(packed.as_slice()).take(limit).read_to_end(&mut bytes),
+            Self::Lz4 => FrameDecoder::new(packed.as_slice()).take(limit).read_to_end(&mut bytes),
+        };
+        (bytes, outcome.map(|_| ()))
+    }
+}

@@ -1,0 +1,149 @@
+//! The messages of a bag in the order of their times.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap, VecDeque};
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::messages::{self, Message};
+use crate::time::Stamp;
+
+use super::chunk::Entry;
+use super::connection::Connection;
+use super::error::BagError;
+use super::reader::Bag;
+
+/// Unpacked chunks kept at a time. Chunks overlap by a few messages as a rule; should all of a bag overlap, those not needed for
+/// longest are dropped and read again.
+const MAX_HELD_BYTES: usize = 256 << 20;
+
+/// A message as recorded.
+pub struct BagMessage<'bag> {
+    bag: &'bag Bag,
+    chunk: usize,
+    /// Its topic and type.
+    pub connection: &'bag Connection,
+    /// When it was recorded.
+    pub time: Stamp,
+    /// Its wire form.
+    pub data: Vec<u8>,
+}
+
+impl BagMessage<'_> {
+    /// The message, if it is of type `T`.
+    pub fn decode<T: Message + for<'de> Deserialize<'de>>(&self) -> Result<T, BagError> {
+        self.bag.check_type::<T>(self.connection)?;
+        messages::decode(&self.data).map_err(|source| BagError::Decode {
+            path: self.bag.path().to_path_buf(),
+            topic: self.connection.topic.clone(),
+            time: self.time,
+            chunk_offset: self.bag.chunks()[self.chunk].offset,
+            source,
+        })
+    }
+
+    /// The bag it is from.
+    pub fn path(&self) -> &Path {
+        self.bag.path()
+    }
+}
+
+/// Iterator of [`Bag::messages`]: merges the chunks, which overlap in time.
+pub struct Messages<'bag> {
+    bag: &'bag Bag,
+    wanted: BTreeMap<u32, &'bag Connection>,
+    /// Chunks not begun, by the time of their first message, with that time.
+    waiting: VecDeque<(Stamp, usize)>,
+    /// Chunks begun, by their place in the file.
+    open: BTreeMap<usize, OpenChunk<'bag>>,
+    /// Time of the next message of each open chunk.
+    next: BinaryHeap<Reverse<(Stamp, usize)>>,
+    /// Unpacked bytes of the open chunks.
+    held: usize,
+}
+
+struct OpenChunk<'bag> {
+    /// Empty while dropped to save memory.
+    bytes: Vec<u8>,
+    /// Messages to come, by time.
+    messages: VecDeque<(&'bag Connection, Entry)>,
+}
+
+impl<'bag> Messages<'bag> {
+    pub(super) fn new(bag: &'bag Bag, wanted: BTreeMap<u32, &'bag Connection>) -> Self {
+        let mut waiting: Vec<(Stamp, usize)> = bag
+            .chunks()
+            .iter()
+            .enumerate()
+            .filter(|(_, chunk)| chunk.index.counts.keys().any(|id| wanted.contains_key(id)))
+            .filter_map(|(i, chunk)| chunk.index.span.map(|(start, _)| (start, i)))
+            .collect();
+        waiting.sort_unstable();
+        Self { bag, wanted, waiting: waiting.into(), open: BTreeMap::new(), next: BinaryHeap::new(), held: 0 }
+    }
+
+    /// Opens every chunk that may hold a message before the next one of the open chunks.
+    fn open_chunks(&mut self) -> Result<(), BagError> {
+        while let Some(&(start, chunk)) = self.waiting.front() {
+            if self.next.peek().is_some_and(|Reverse((time, _))| *time < start) {
+                break;
+            }
+            self.waiting.pop_front();
+            let content = self.bag.read_chunk(chunk)?;
+            let wanted = |entry: Entry| self.wanted.get(&entry.connection).map(|&connection| (connection, entry));
+            let mut messages: Vec<_> = content.messages.into_iter().filter_map(wanted).collect();
+            messages.sort_by_key(|(_, entry)| entry.time);
+            if let Some((_, first)) = messages.first() {
+                self.make_room(content.bytes.len());
+                self.next.push(Reverse((first.time, chunk)));
+                self.open.insert(chunk, OpenChunk { bytes: content.bytes, messages: messages.into() });
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes account of `bytes` more to hold, at the expense of the chunks needed latest.
+    fn make_room(&mut self, bytes: usize) {
+        self.held += bytes;
+        while self.held > MAX_HELD_BYTES {
+            let loaded = self.open.values_mut().filter(|open| !open.bytes.is_empty());
+            let Some(latest) = loaded.max_by_key(|open| open.messages.front().map(|(_, entry)| entry.time)) else { break };
+            self.held -= latest.bytes.len();
+            latest.bytes = Vec::new();
+        }
+    }
+
+    fn read_next(&mut self) -> Result<Option<BagMessage<'bag>>, BagError> {
+        self.open_chunks()?;
+        let Some(Reverse((time, chunk))) = self.next.pop() else { return Ok(None) };
+        let Some(mut open) = self.open.remove(&chunk) else { return Ok(None) };
+        let Some((connection, entry)) = open.messages.pop_front() else { return Ok(None) };
+        if open.bytes.is_empty() {
+            open.bytes = self.bag.read_chunk(chunk)?.bytes;
+            self.make_room(open.bytes.len());
+        }
+        let data = open.bytes.get(entry.data).unwrap_or_default().to_vec();
+        if let Some((_, following)) = open.messages.front() {
+            self.next.push(Reverse((following.time, chunk)));
+            self.open.insert(chunk, open);
+        } else {
+            self.held -= open.bytes.len();
+        }
+        Ok(Some(BagMessage { bag: self.bag, chunk, connection, time, data }))
+    }
+}
+
+impl<'bag> Iterator for Messages<'bag> {
+    type Item = Result<BagMessage<'bag>, BagError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let item = self.read_next().transpose();
+        if matches!(item, Some(Err(_))) {
+            // What the file system refused once it refuses again: the iteration ends here.
+            self.waiting.clear();
+            self.next.clear();
+        }
+        item
+    }
+}

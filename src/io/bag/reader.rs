@@ -1,0 +1,237 @@
+//! An open bag: what is in it, and where.
+
+use std::cell::{Ref, RefCell};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use crate::knobs::nearest_name;
+use crate::messages::Message;
+use crate::time::Stamp;
+
+use super::chunk::{Chunk, Content};
+use super::compression::Compression;
+use super::connection::Connection;
+use super::error::{BagError, BagProblem, COPY_AGAIN};
+use super::layout::{Layout, MAX_PROBLEMS};
+use super::messages::Messages;
+use super::record::MAGIC;
+
+/// A bag opened for reading.
+///
+/// ```no_run
+/// use anytime_scan_matcher::io::bag::Bag;
+/// use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+///
+/// let bag = Bag::open("drive.bag")?;
+/// bag.expect_topic::<LaserScan>("/scan")?;
+/// for message in bag.messages(Some(&["/scan"])) {
+///     let scan: LaserScan = message?.decode()?;
+/// }
+/// for problem in bag.problems().iter() {
+///     eprintln!("{problem}");
+/// }
+/// # Ok::<(), anytime_scan_matcher::io::bag::BagError>(())
+/// ```
+pub struct Bag {
+    path: PathBuf,
+    len: u64,
+    file: RefCell<File>,
+    chunks: Vec<Chunk>,
+    connections: Vec<Connection>,
+    problems: RefCell<Vec<BagProblem>>,
+}
+
+impl Bag {
+    /// Opens a bag and finds out what it holds. Unpacks only the chunks that the index does not describe.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, BagError> {
+        let path = path.as_ref();
+        let mut file = File::open(path).map_err(BagError::io(path, "open"))?;
+        let metadata = file.metadata().map_err(BagError::io(path, "read"))?;
+        if metadata.is_dir() {
+            return Err(BagError::NotABag { path: path.into(), reason: "it is a directory".into() });
+        }
+        check_magic(path, &mut file)?;
+        let layout = Layout::read(&file, MAGIC.len() as u64, metadata.len()).map_err(BagError::io(path, "read"))?;
+        if !layout.encryptor.is_empty() {
+            return Err(BagError::Unsupported {
+                path: path.into(),
+                what: format!("an encrypted bag ({})", layout.encryptor),
+                remedy: "`rosbag decrypt` makes a plain copy where the key is",
+            });
+        }
+        let complete = layout.complete;
+        let mut bag = Self {
+            path: path.into(),
+            len: metadata.len(),
+            file: RefCell::new(file),
+            chunks: layout.chunks,
+            connections: Vec::new(),
+            problems: RefCell::new(layout.problems),
+        };
+        bag.connections = bag.index(layout.connections, complete)?.into_values().collect();
+        Ok(bag)
+    }
+
+    /// Completes the index: reads each chunk that has none, or whose connections no record outside of the chunks describes.
+    fn index(&mut self, mut known: BTreeMap<u32, Connection>, complete: bool) -> Result<BTreeMap<u32, Connection>, BagError> {
+        let last = self.chunks.len().saturating_sub(1);
+        for i in 0..self.chunks.len() {
+            let index = &self.chunks[i].index;
+            let described = index.span.is_some() && index.counts.keys().all(|id| known.contains_key(id));
+            // The file may end among the index records of its last chunk.
+            if described && (complete || i < last) {
+                continue;
+            }
+            let content = self.read_chunk(i)?;
+            self.chunks[i].index = content.index();
+            for connection in content.connections {
+                known.entry(connection.id).or_insert(connection);
+            }
+        }
+        for (id, count) in self.chunks.iter().flat_map(|chunk| &chunk.index.counts) {
+            match known.get_mut(id) {
+                Some(connection) => connection.messages += count,
+                None => self.add_problem(BagProblem {
+                    offset: 0,
+                    what: format!("messages of connection {id} are lost: no record says what they are"),
+                    bytes_lost: 0,
+                    remedy: COPY_AGAIN,
+                }),
+            }
+        }
+        Ok(known)
+    }
+
+    pub(super) fn read_chunk(&self, i: usize) -> Result<Content, BagError> {
+        let mut content = self.chunks[i].read(&mut self.file.borrow_mut()).map_err(BagError::io(&self.path, "read"))?;
+        if let Some(problem) = content.problem.take() {
+            self.add_problem(problem);
+        }
+        Ok(content)
+    }
+
+    fn add_problem(&self, problem: BagProblem) {
+        let mut problems = self.problems.borrow_mut();
+        if problems.len() < MAX_PROBLEMS && !problems.contains(&problem) {
+            problems.push(problem);
+        }
+    }
+
+    pub(super) fn chunks(&self) -> &[Chunk] {
+        &self.chunks
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Length of the file in bytes.
+    pub fn size(&self) -> u64 {
+        self.len
+    }
+
+    /// Who published what, by number.
+    pub fn connections(&self) -> &[Connection] {
+        &self.connections
+    }
+
+    /// The losses found so far: on opening those of the bag's structure, while reading messages those inside chunks.
+    pub fn problems(&self) -> Ref<'_, [BagProblem]> {
+        Ref::map(self.problems.borrow(), Vec::as_slice)
+    }
+
+    /// Number of chunks by the way they are packed.
+    pub fn compressions(&self) -> Vec<(Compression, usize)> {
+        let count = |kind| self.chunks.iter().filter(|chunk| chunk.compression == kind).count();
+        Compression::ALL.iter().map(|&kind| (kind, count(kind))).filter(|(_, chunks)| *chunks > 0).collect()
+    }
+
+    /// When the first and the last message were recorded; `None` without messages.
+    pub fn span(&self) -> Option<(Stamp, Stamp)> {
+        self.chunks.iter().filter_map(|chunk| chunk.index.span).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+    }
+
+    /// Number of messages on `topics` (`None`: on all).
+    pub fn message_count(&self, topics: Option<&[&str]>) -> u64 {
+        self.connections.iter().filter(|connection| is_wanted(topics, &connection.topic)).map(|c| c.messages).sum()
+    }
+
+    /// The messages on `topics` (`None`: on all) by the time of their recording; equal times in file order.
+    ///
+    /// Damaged chunks are passed over and noted in [`Bag::problems`]; an `Err` means that the file could not be read.
+    pub fn messages(&self, topics: Option<&[&str]>) -> Messages<'_> {
+        let wanted = self.connections.iter().filter(|connection| is_wanted(topics, &connection.topic));
+        Messages::new(self, wanted.map(|connection| (connection.id, connection)).collect())
+    }
+
+    /// The topics that carry messages of type `T`.
+    pub fn topics_of<T: Message>(&self) -> Vec<&str> {
+        let mut topics: Vec<&str> = self.connections.iter().filter(|c| c.carries::<T>()).map(|c| c.topic.as_str()).collect();
+        topics.sort_unstable();
+        topics.dedup();
+        topics
+    }
+
+    /// Checks that `topic` is there and carries messages of type `T`; the error says what there is instead.
+    pub fn expect_topic<T: Message>(&self, topic: &str) -> Result<(), BagError> {
+        let mut connections = self.connections.iter().filter(|connection| connection.topic == topic).peekable();
+        if connections.peek().is_none() {
+            return Err(self.no_such_topic::<T>(topic));
+        }
+        connections.try_for_each(|connection| self.check_type::<T>(connection))
+    }
+
+    pub(super) fn check_type<T: Message>(&self, connection: &Connection) -> Result<(), BagError> {
+        let (path, topic) = (self.path.clone(), connection.topic.clone());
+        if connection.carries::<T>() {
+            Ok(())
+        } else if connection.message_type == T::TYPE {
+            let found = connection.md5.clone();
+            Err(BagError::WrongVersion { path, topic, message_type: T::TYPE, found, expected: T::MD5 })
+        } else {
+            let found = connection.message_type.clone();
+            Err(BagError::WrongType { path, topic, found, expected: T::TYPE })
+        }
+    }
+
+    fn no_such_topic<T: Message>(&self, topic: &str) -> BagError {
+        let mut candidates = self.topics_of::<T>();
+        let nearest = nearest_name(topic, candidates.iter().copied());
+        candidates.sort_by_key(|&candidate| Some(candidate) != nearest);
+        let alternatives = if candidates.is_empty() {
+            format!("no topic carries {}", T::TYPE)
+        } else {
+            format!("{} is on: {}", T::TYPE, candidates.join(", "))
+        };
+        BagError::NoSuchTopic { path: self.path.clone(), topic: topic.into(), alternatives }
+    }
+}
+
+fn is_wanted(topics: Option<&[&str]>, topic: &str) -> bool {
+    topics.is_none_or(|topics| topics.contains(&topic))
+}
+
+fn check_magic(path: &Path, file: &mut File) -> Result<(), BagError> {
+    let mut start = Vec::new();
+    file.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(BagError::io(path, "read"))?;
+    if start == MAGIC {
+        return Ok(());
+    }
+    let path = path.into();
+    if let Some(version) = start.strip_prefix(b"#ROSBAG V") {
+        let what = format!("a bag of version {}", String::from_utf8_lossy(version).trim_end());
+        return Err(BagError::Unsupported { path, what, remedy: "`rosbag reindex` or `rosbag fix` makes a version 2.0 of it" });
+    }
+    let reason = match start.as_slice() {
+        [] => "it is empty",
+        start if MAGIC.starts_with(start) => "it ends within its first line",
+        start if start.starts_with(b"SQLite format") || start.starts_with(b"\x89MCAP") => {
+            "it is a ROS 2 bag; `rosbags-convert` makes a ROS 1 bag of it"
+        }
+        _ => "it does not begin with `#ROSBAG V2.0`",
+    };
+    Err(BagError::NotABag { path, reason: reason.into() })
+}

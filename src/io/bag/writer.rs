@@ -1,0 +1,247 @@
+//! Bags written: chunks with their indices, then connections and chunk infos, then the bag header once more with the place of these.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::messages::{self, Message};
+use crate::time::Stamp;
+
+use super::compression::Compression;
+use super::error::BagError;
+use super::record::{MAGIC, op, push_header, push_record, stamp_to_bytes};
+
+/// A chunk is closed when it is larger than this: what `rosbag record` does.
+const CHUNK_BYTES: usize = 768 << 10;
+/// Largest message taken, so that every chunk stays readable.
+const MAX_MESSAGE_BYTES: usize = 256 << 20;
+/// The fields and the padding of the bag header take this much together, so that it can be rewritten in place.
+const BAG_HEADER_BYTES: usize = 4096;
+
+/// A bag being written. The same messages give the same bytes.
+///
+/// Without [`BagWriter::finish`] the bag has no index, but all messages: readers say so and `rosbag reindex` repairs it.
+pub struct BagWriter {
+    path: PathBuf,
+    file: File,
+    compression: Compression,
+    /// Bytes written to the file.
+    position: u64,
+    connections: Vec<Connection>,
+    chunk: OpenChunk,
+    chunks: Vec<ChunkInfo>,
+    /// [`BagWriter::finish`] was called.
+    finished: bool,
+}
+
+struct Connection {
+    topic: String,
+    message_type: &'static str,
+    latching: bool,
+    /// The whole record.
+    record: Vec<u8>,
+}
+
+/// The chunk being filled.
+#[derive(Default)]
+struct OpenChunk {
+    bytes: Vec<u8>,
+    /// Time and place in the chunk of each message, by connection.
+    index: BTreeMap<u32, Vec<(Stamp, u32)>>,
+}
+
+/// What the index at the end says of a chunk.
+struct ChunkInfo {
+    offset: u64,
+    span: (Stamp, Stamp),
+    /// Number of messages by connection.
+    counts: Vec<(u32, u32)>,
+}
+
+impl BagWriter {
+    /// Creates the file, or empties it.
+    pub fn create(path: impl AsRef<Path>, compression: Compression) -> Result<Self, BagError> {
+        let path = path.as_ref().to_path_buf();
+        let file = File::create(&path).map_err(BagError::io(&path, "create"))?;
+        let mut writer = Self {
+            path,
+            file,
+            compression,
+            position: 0,
+            connections: Vec::new(),
+            chunk: OpenChunk::default(),
+            chunks: Vec::new(),
+            finished: false,
+        };
+        let mut start = MAGIC.to_vec();
+        start.extend(writer.bag_header(0));
+        writer.append(&start)?;
+        Ok(writer)
+    }
+
+    /// Writes a message as received at `time`.
+    pub fn write<T: Message + Serialize>(&mut self, topic: &str, time: Stamp, message: &T) -> Result<(), BagError> {
+        self.push(topic, false, time, message)
+    }
+
+    /// Writes a message of a latched topic (`/tf_static`, `/map`): players give it to late subscribers too.
+    pub fn write_latched<T: Message + Serialize>(&mut self, topic: &str, time: Stamp, message: &T) -> Result<(), BagError> {
+        self.push(topic, true, time, message)
+    }
+
+    /// Writes what is left and the index.
+    pub fn finish(mut self) -> Result<(), BagError> {
+        self.finished = true;
+        self.close_chunk()?;
+        let index_at = self.position;
+        let mut index: Vec<u8> = self.connections.iter().flat_map(|connection| connection.record.iter().copied()).collect();
+        for chunk in &self.chunks {
+            chunk.push_record(&mut index);
+        }
+        self.append(&index)?;
+        let header = self.bag_header(index_at);
+        self.file.seek(SeekFrom::Start(MAGIC.len() as u64)).map_err(BagError::io(&self.path, "write"))?;
+        self.append(&header)
+    }
+
+    fn push<T: Message + Serialize>(&mut self, topic: &str, latching: bool, time: Stamp, message: &T) -> Result<(), BagError> {
+        let data = messages::encode(message).map_err(|e| self.unwritable(topic, e.to_string()))?;
+        if data.len() > MAX_MESSAGE_BYTES {
+            return Err(self.unwritable(topic, format!("a message of {} bytes is too large", data.len())));
+        }
+        // Readers of ROS take time 0 for "no time" and pass such messages over.
+        if time <= Stamp::default() || Stamp::from(messages::Time::from(time)) != time {
+            return Err(self.unwritable(topic, format!("the time {time} is outside of what a bag can hold (1970 to 2106)")));
+        }
+        let id = self.connection::<T>(topic, latching)?;
+        let at = u32::try_from(self.chunk.bytes.len()).unwrap_or(u32::MAX);
+        self.chunk.index.entry(id).or_default().push((time, at));
+        let fields: &[(&str, &[u8])] = &[("op", &[op::MESSAGE]), ("conn", &id.to_le_bytes()), ("time", &stamp_to_bytes(time))];
+        push_record(&mut self.chunk.bytes, fields, &data);
+        if self.chunk.bytes.len() > CHUNK_BYTES {
+            self.close_chunk()?;
+        }
+        Ok(())
+    }
+
+    /// The number of the connection; a new one is recorded in the chunk.
+    fn connection<T: Message>(&mut self, topic: &str, latching: bool) -> Result<u32, BagError> {
+        if let Some(other) = self.connections.iter().find(|c| c.topic == topic && c.message_type != T::TYPE) {
+            return Err(self.unwritable(topic, format!("it carries {}, not {}", other.message_type, T::TYPE)));
+        }
+        let known = self.connections.iter().position(|c| c.topic == topic && c.latching == latching);
+        let id = u32::try_from(known.unwrap_or(self.connections.len())).unwrap_or(u32::MAX);
+        if known.is_none() {
+            let connection = Connection::new::<T>(id, topic, latching);
+            self.chunk.bytes.extend_from_slice(&connection.record);
+            self.connections.push(connection);
+        }
+        Ok(id)
+    }
+
+    fn close_chunk(&mut self) -> Result<(), BagError> {
+        let chunk = std::mem::take(&mut self.chunk);
+        let Some(info) = ChunkInfo::new(self.position, &chunk.index) else { return Ok(()) };
+        let packed = self.compression.pack(&chunk.bytes).map_err(BagError::io(&self.path, "pack a chunk of"))?;
+        let size = u32::try_from(chunk.bytes.len()).unwrap_or(u32::MAX).to_le_bytes();
+        let mut records = Vec::new();
+        let fields: &[(&str, &[u8])] =
+            &[("op", &[op::CHUNK]), ("compression", self.compression.name().as_bytes()), ("size", &size)];
+        push_record(&mut records, fields, &packed);
+        for ((id, count), entries) in info.counts.iter().zip(chunk.index.values()) {
+            let fields: &[(&str, &[u8])] = &[
+                ("op", &[op::INDEX]),
+                ("ver", &1_u32.to_le_bytes()),
+                ("conn", &id.to_le_bytes()),
+                ("count", &count.to_le_bytes()),
+            ];
+            let data: Vec<u8> =
+                entries.iter().flat_map(|(time, at)| stamp_to_bytes(*time).into_iter().chain(at.to_le_bytes())).collect();
+            push_record(&mut records, fields, &data);
+        }
+        self.chunks.push(info);
+        self.append(&records)
+    }
+
+    fn bag_header(&self, index_at: u64) -> Vec<u8> {
+        let count = |len: usize| u32::try_from(len).unwrap_or(u32::MAX).to_le_bytes();
+        let fields: &[(&str, &[u8])] = &[
+            ("op", &[op::BAG_HEADER]),
+            ("index_pos", &index_at.to_le_bytes()),
+            ("conn_count", &count(self.connections.len())),
+            ("chunk_count", &count(self.chunks.len())),
+        ];
+        let mut record = Vec::new();
+        push_header(&mut record, fields);
+        let padding = (BAG_HEADER_BYTES + size_of::<u32>()).saturating_sub(record.len());
+        record.extend_from_slice(&u32::try_from(padding).unwrap_or(0).to_le_bytes());
+        record.resize(record.len() + padding, b' ');
+        record
+    }
+
+    fn append(&mut self, bytes: &[u8]) -> Result<(), BagError> {
+        self.file.write_all(bytes).map_err(BagError::io(&self.path, "write"))?;
+        self.position += bytes.len() as u64;
+        Ok(())
+    }
+
+    fn unwritable(&self, topic: &str, reason: String) -> BagError {
+        BagError::Unwritable { path: self.path.clone(), topic: topic.into(), reason }
+    }
+}
+
+impl Drop for BagWriter {
+    fn drop(&mut self) {
+        if !self.finished {
+            // Nobody is left to hear of an error.
+            let _ = self.close_chunk();
+        }
+    }
+}
+
+impl Connection {
+    fn new<T: Message>(id: u32, topic: &str, latching: bool) -> Self {
+        let definition = T::full_definition();
+        let mut fields: Vec<(&str, &[u8])> = vec![
+            ("topic", topic.as_bytes()),
+            ("type", T::TYPE.as_bytes()),
+            ("md5sum", T::MD5.as_bytes()),
+            ("message_definition", definition.as_bytes()),
+        ];
+        if latching {
+            fields.push(("latching", b"1"));
+        }
+        let mut record = Vec::new();
+        push_header(&mut record, &[("op", &[op::CONNECTION]), ("conn", &id.to_le_bytes()), ("topic", topic.as_bytes())]);
+        // The data of this record is itself a header, whose length is that of the data.
+        push_header(&mut record, &fields);
+        Self { topic: topic.into(), message_type: T::TYPE, latching, record }
+    }
+}
+
+impl ChunkInfo {
+    /// `None` for a chunk without messages.
+    fn new(offset: u64, index: &BTreeMap<u32, Vec<(Stamp, u32)>>) -> Option<Self> {
+        let times = || index.values().flatten().map(|(time, _)| *time);
+        let counts = index.iter().map(|(id, entries)| (*id, u32::try_from(entries.len()).unwrap_or(u32::MAX))).collect();
+        Some(Self { offset, span: (times().min()?, times().max()?), counts })
+    }
+
+    fn push_record(&self, out: &mut Vec<u8>) {
+        let count = u32::try_from(self.counts.len()).unwrap_or(u32::MAX);
+        let fields: &[(&str, &[u8])] = &[
+            ("op", &[op::CHUNK_INFO]),
+            ("ver", &1_u32.to_le_bytes()),
+            ("chunk_pos", &self.offset.to_le_bytes()),
+            ("start_time", &stamp_to_bytes(self.span.0)),
+            ("end_time", &stamp_to_bytes(self.span.1)),
+            ("count", &count.to_le_bytes()),
+        ];
+        let data: Vec<u8> =
+            self.counts.iter().flat_map(|(id, count)| id.to_le_bytes().into_iter().chain(count.to_le_bytes())).collect();
+        push_record(out, fields, &data);
+    }
+}

@@ -1,0 +1,51 @@
+//! Scan points along the way, as the background of a plot.
+
+use crate::app::{App, Estimate};
+use crate::geometry::Point;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::scan::ScanConverter;
+
+/// More points than this make a plot heavy, not better.
+const MAX_POINTS: usize = 20_000;
+/// Points of one scan.
+const POINTS_PER_SCAN: usize = 60;
+
+/// Collects points of keyframes; thins out as it fills up.
+#[derive(Debug, Default)]
+pub struct MapSketch {
+    converter: ScanConverter,
+    points: Vec<Point>,
+    keyframes: usize,
+    every: usize,
+}
+
+impl MapSketch {
+    /// Takes a scan that has been answered.
+    pub fn add(&mut self, message: &LaserScan, estimate: &Estimate, app: &App) {
+        if !estimate.registration.new_keyframe || !estimate.registration.outcome.is_ok() {
+            return;
+        }
+        self.keyframes += 1;
+        let mount = app.mount().0;
+        let Ok(scan) = self.converter.convert(message, mount.upside_down) else { return };
+        if !self.keyframes.is_multiple_of(self.every.max(1)) {
+            return;
+        }
+        let transform = (estimate.registration.odom_from_base * mount.base_from_laser).transform();
+        let stride = scan.valid_len().div_ceil(POINTS_PER_SCAN).max(1);
+        self.points.extend(scan.rays().step_by(stride).map(|(_, direction, range)| transform.apply(direction * range)));
+        if self.points.len() > MAX_POINTS {
+            let mut keep = false;
+            self.points.retain(|_| {
+                keep = !keep;
+                keep
+            });
+            self.every = 2 * self.every.max(1);
+        }
+    }
+
+    /// The points, m, in the odom frame.
+    pub fn points(&self) -> &[Point] {
+        &self.points
+    }
+}

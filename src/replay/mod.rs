@@ -1,0 +1,122 @@
+//! A bag through the very application that the node runs.
+
+pub mod csv_file;
+pub mod map_sketch;
+pub mod summary;
+pub mod truth;
+
+use std::time::Duration;
+
+use crate::anytime::clock::Clock;
+use crate::app::{App, Estimate};
+use crate::io::bag::{Bag, BagError, BagMessage};
+use crate::messages::nav_msgs::Odometry;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::tf2_msgs::TFMessage;
+
+/// Where transforms are published.
+const TRANSFORM_TOPICS: [&str; 2] = ["/tf", "/tf_static"];
+
+/// The topics to replay.
+#[derive(Clone, Debug)]
+pub struct Topics {
+    /// Laser scans.
+    pub scan: String,
+    /// Wheel odometry; `None`: do without.
+    pub odometry: Option<String>,
+}
+
+impl Topics {
+    /// The topics asked for, as far as the bag has them. Without an explicit wish, odometry is optional.
+    pub fn resolve(bag: &Bag, scan: &str, odometry: Option<&str>) -> Result<Self, BagError> {
+        bag.expect_topic::<LaserScan>(scan)?;
+        let odometry = match odometry {
+            Some(topic) => {
+                bag.expect_topic::<Odometry>(topic)?;
+                Some(topic.to_owned())
+            }
+            None => bag.topics_of::<Odometry>().contains(&"/odom").then(|| "/odom".to_owned()),
+        };
+        Ok(Self { scan: scan.into(), odometry })
+    }
+
+    /// Every topic that is read.
+    pub fn all(&self) -> Vec<&str> {
+        [self.scan.as_str()].into_iter().chain(self.odometry.as_deref()).chain(TRANSFORM_TOPICS).collect()
+    }
+}
+
+/// What happened besides the estimates.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ReplayLog {
+    /// Messages that could not be read or used, in words; the first of each kind.
+    pub problems: Vec<String>,
+    /// How many there were in all.
+    pub unusable_messages: u64,
+}
+
+impl ReplayLog {
+    const KEPT: usize = 10;
+
+    fn note(&mut self, problem: &dyn std::fmt::Display) {
+        self.unusable_messages += 1;
+        if self.problems.len() < Self::KEPT {
+            self.problems.push(problem.to_string());
+        }
+    }
+}
+
+/// Replays a bag. `on_estimate` gets each scan with its answer; `on_message` is called for every message read, to show progress. An
+/// error of `on_estimate` ends the replay.
+pub fn replay<E: From<BagError>>(
+    bag: &Bag,
+    topics: &Topics,
+    app: &mut App,
+    clock: &dyn Clock,
+    mut on_message: impl FnMut(),
+    mut on_estimate: impl FnMut(&LaserScan, &Estimate, &App) -> Result<(), E>,
+) -> Result<ReplayLog, E> {
+    let mut log = ReplayLog::default();
+    let wanted = topics.all();
+    for message in bag.messages(Some(&wanted)) {
+        on_message();
+        let message = match message {
+            Ok(message) => message,
+            Err(error) => {
+                log.note(&error);
+                continue;
+            }
+        };
+        if message.connection.topic == topics.scan {
+            let arrival = clock.now();
+            match message.decode::<LaserScan>() {
+                Ok(scan) => {
+                    let estimate = app.on_scan(&scan, arrival);
+                    on_estimate(&scan, &estimate, app)?;
+                    app.maintain();
+                }
+                Err(error) => log.note(&error),
+            }
+        } else if let Err(problem) = take(app, topics, &message) {
+            log.note(&problem);
+        }
+    }
+    Ok(log)
+}
+
+fn take(app: &mut App, topics: &Topics, message: &BagMessage) -> Result<(), String> {
+    let topic = message.connection.topic.as_str();
+    let in_words = |problem: &dyn std::fmt::Display| format!("{topic} at {}: {problem}", message.time);
+    if topics.odometry.as_deref() == Some(topic) {
+        let odometry = message.decode().map_err(|e| e.to_string())?;
+        app.on_odometry(&odometry).map_err(|e| in_words(&e))
+    } else {
+        let transforms: TFMessage = message.decode().map_err(|e| e.to_string())?;
+        app.on_transforms(&transforms).map_err(|e| in_words(&e))
+    }
+}
+
+/// Microseconds, for people and files.
+fn microseconds(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e6
+}

@@ -1,0 +1,175 @@
+//! What a replay came to, for people and for machines.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::time::Duration;
+
+use comfy_table::{Table, presets};
+use serde_json::{Value, json};
+
+use super::{ReplayLog, microseconds};
+use crate::app::{Estimate, MountSource};
+use crate::evaluation::report::Report;
+use crate::evaluation::trajectory::StampedPose;
+use crate::odometry::{OdometryCounters, Outcome};
+
+/// Collects the estimates of a replay.
+#[derive(Clone, Debug, Default)]
+pub struct Summary {
+    poses: Vec<StampedPose>,
+    elapsed: Vec<Duration>,
+    iterations: u64,
+    matched: usize,
+    failures: BTreeMap<String, usize>,
+    budget: Option<Duration>,
+    misses: usize,
+    worst_overrun: Duration,
+}
+
+/// The parts of a summary that are known only at the end.
+#[derive(Clone, Debug)]
+pub struct Ending {
+    /// Messages that could not be used.
+    pub log: ReplayLog,
+    /// What the odometry counted.
+    pub counters: OdometryCounters,
+    /// Where the laser's place is known from.
+    pub mount_source: MountSource,
+    /// Comparison with the truth.
+    pub report: Option<Report>,
+    /// Damage of the bag, in words.
+    pub bag_problems: Vec<String>,
+}
+
+impl Summary {
+    /// Takes an estimate.
+    pub fn add(&mut self, estimate: &Estimate) {
+        let registration = &estimate.registration;
+        self.poses.push(StampedPose { stamp: estimate.stamp, pose: registration.odom_from_base });
+        self.elapsed.push(estimate.elapsed);
+        self.iterations += registration.refinement.map_or(0, |r| u64::from(r.iterations));
+        self.matched += usize::from(registration.outcome.is_ok());
+        if let Outcome::Predicted(problem) = &registration.outcome {
+            // Figures differ from scan to scan; what stands before them is the kind of problem.
+            let kind =
+                problem.split([':', '.']).next().unwrap_or_default().trim_end_matches(|c: char| c.is_ascii_digit() || c == ' ');
+            *self.failures.entry(kind.to_owned()).or_default() += 1;
+        }
+        self.budget = estimate.contract.time_budget.or(self.budget);
+        if !estimate.deadline_met() {
+            self.misses += 1;
+            let overrun = estimate.elapsed.saturating_sub(estimate.contract.time_budget.unwrap_or_default());
+            self.worst_overrun = self.worst_overrun.max(overrun);
+        }
+    }
+
+    /// The trajectory of the base.
+    pub fn poses(&self) -> &[StampedPose] {
+        &self.poses
+    }
+
+    fn path_length(&self) -> f64 {
+        self.poses.windows(2).map(|pair| pair[0].pose.between(&pair[1].pose).distance()).sum()
+    }
+
+    /// Elapsed time at percentiles 50, 99 and 100, microseconds.
+    fn times(&self) -> [f64; 3] {
+        let mut sorted = self.elapsed.clone();
+        sorted.sort_unstable();
+        [50, 99, 100].map(|percent| {
+            let index = (sorted.len() * percent).div_ceil(100).saturating_sub(1);
+            sorted.get(index).copied().map_or(0.0, microseconds)
+        })
+    }
+
+    fn mean_iterations(&self) -> f64 {
+        self.iterations as f64 / self.poses.len().max(1) as f64
+    }
+
+    /// One JSON object.
+    pub fn to_json(&self, ending: &Ending) -> Value {
+        let [p50, p99, max] = self.times();
+        let truth = ending.report.as_ref().map_or_else(|| json!({}), Report::to_json);
+        json!({
+            "scans": self.poses.len(),
+            "matched": self.matched,
+            "failed": self.poses.len() - self.matched,
+            "failures": self.failures,
+            "path_length_m": self.path_length(),
+            "mean_iterations": self.mean_iterations(),
+            "keyframes": ending.counters.keyframes,
+            "time_us": {"p50": p50, "p99": p99, "max": max},
+            "deadline": {
+                "budget_us": self.budget.map(microseconds),
+                "misses": self.misses,
+                "worst_overrun_us": microseconds(self.worst_overrun),
+            },
+            "ate_rmse_m": truth["ate_rmse_m"],
+            "rpe_1m_rmse_m": truth["rpe_1m_rmse_m"],
+            "rpe_1m_rmse_deg": truth["rpe_1m_rmse_deg"],
+            "unusable_messages": ending.log.unusable_messages,
+            "problems": self.problems(ending),
+        })
+    }
+
+    /// What the user should know, each with its remedy where there is one.
+    fn problems(&self, ending: &Ending) -> Vec<String> {
+        let mut problems = ending.bag_problems.clone();
+        problems.extend(ending.log.problems.iter().cloned());
+        if ending.mount_source == MountSource::Assumed {
+            problems.push(
+                "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)"
+                    .into(),
+            );
+        }
+        if ending.counters.without_odometry > 0 {
+            problems.push(format!(
+                "{} scans predicted at constant velocity: no odometry covers them",
+                ending.counters.without_odometry
+            ));
+        }
+        let counted = [
+            (ending.counters.duplicate_scans, "scans with the stamp of the one before"),
+            (ending.counters.out_of_order_scans, "scans out of order"),
+            (ending.counters.time_jumps, "jumps back in time (each started a new run)"),
+            (ending.counters.duplicate_odometry, "odometry messages with the stamp of the one before"),
+            (ending.counters.odometry_resets, "jumps of the odometry"),
+        ];
+        problems.extend(counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")));
+        problems
+    }
+
+    /// A table for people.
+    pub fn to_text<'a>(&'a self, ending: &'a Ending) -> impl fmt::Display + 'a {
+        fmt::from_fn(move |f| self.write_text(ending, f))
+    }
+
+    fn write_text(&self, ending: &Ending, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [p50, p99, max] = self.times();
+        let mut table = Table::new();
+        table.load_style(presets::NOTHING);
+        table.add_row(["scans", &self.poses.len().to_string()]);
+        table.add_row(["matched", &self.matched.to_string()]);
+        table.add_row(["failed", &(self.poses.len() - self.matched).to_string()]);
+        for (kind, count) in &self.failures {
+            table.add_row(["", &format!("{count}: {kind}")]);
+        }
+        table.add_row(["path", &format!("{:.2} m", self.path_length())]);
+        table.add_row(["keyframes", &ending.counters.keyframes.to_string()]);
+        table.add_row(["iterations per scan", &format!("{:.1}", self.mean_iterations())]);
+        table.add_row(["time per scan", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
+        if let Some(budget) = self.budget {
+            let overrun = microseconds(self.worst_overrun);
+            let text = format!("{} of budget {:.0} us, worst overrun {overrun:.0} us", self.misses, microseconds(budget));
+            table.add_row(["deadline misses", &text]);
+        }
+        writeln!(f, "{table}")?;
+        if let Some(report) = &ending.report {
+            writeln!(f, "\n{report}")?;
+        }
+        for problem in self.problems(ending) {
+            writeln!(f, "note: {problem}")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,84 @@
+//! What several test programs share.
+#![allow(dead_code, unreachable_pub, clippy::unwrap_used, clippy::print_stderr)]
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anytime_scan_matcher::geometry::{Point, Pose2};
+use anytime_scan_matcher::scan::{BeamGeometry, Scan};
+use anytime_scan_matcher::time::Stamp;
+use rand::RngExt;
+use rand_pcg::Pcg64;
+
+/// A file of the real data that lies beside the checkout. Says loudly when it is not there.
+pub fn shared(path: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared").join(path);
+    if path.exists() {
+        return Some(path);
+    }
+    eprintln!("SKIPPED: {} is not there; this test checks nothing", path.display());
+    None
+}
+
+/// Corners of a room with slanted walls and a pillar, m.
+const ROOM: [(f64, f64); 8] =
+    [(-4.0, -3.0), (5.0, -3.5), (6.0, 1.0), (3.5, 1.2), (3.0, 4.0), (-1.0, 4.5), (-1.5, 2.5), (-5.0, 2.0)];
+const PILLAR: [(f64, f64); 4] = [(1.5, -1.5), (2.0, -1.5), (2.0, -1.0), (1.5, -1.0)];
+
+/// Distance to the nearest wall of the room.
+pub fn room_range(origin: Point, direction: Point) -> f64 {
+    let walls = |corners: &[(f64, f64)]| {
+        let next = corners.iter().cycle().skip(1);
+        corners.iter().zip(next).map(|(a, b)| (Point::new(a.0, a.1), Point::new(b.0, b.1))).collect::<Vec<_>>()
+    };
+    let hit = |(a, b): (Point, Point)| {
+        let along = b - a;
+        let determinant = direction.perp(&along);
+        let range = (a - origin).perp(&along) / determinant;
+        let fraction = (a - origin).perp(&direction) / determinant;
+        (range > 0.0 && (0.0..=1.0).contains(&fraction)).then_some(range)
+    };
+    walls(&ROOM).into_iter().chain(walls(&PILLAR)).filter_map(hit).fold(f64::INFINITY, f64::min)
+}
+
+/// A laser: first angle and angle between beams, rad, and number of beams.
+#[derive(Clone, Copy, Debug)]
+pub struct Laser {
+    pub angle_min: f64,
+    pub increment: f64,
+    pub beams: usize,
+}
+
+impl Laser {
+    /// `degrees` wide, looking forward.
+    pub fn with_field_of_view(degrees: f64, beams: usize) -> Self {
+        let width = degrees.to_radians();
+        Self { angle_min: -0.5 * width, increment: width / (beams as f64 - 1.0), beams }
+    }
+
+    pub fn geometry(&self) -> Arc<BeamGeometry> {
+        Arc::new(BeamGeometry::new(self.angle_min, self.increment, self.beams))
+    }
+
+    /// The room seen from `pose`, with normal noise (m) and a part of the rays lost.
+    pub fn scan(&self, pose: Pose2, noise: f64, lost: f64, rng: &mut Pcg64) -> Scan {
+        let geometry = self.geometry();
+        let ranges: Vec<f64> = geometry
+            .directions()
+            .iter()
+            .map(|&direction| {
+                let range = room_range(pose.translation(), pose.transform().rotate(direction)) + noise * normal(rng);
+                if rng.random::<f64>() < lost { f64::INFINITY } else { range }
+            })
+            .collect();
+        Scan::new(Stamp::default(), geometry, (0.01, 30.0), ranges).unwrap()
+    }
+}
+
+pub fn normal(rng: &mut Pcg64) -> f64 {
+    rand_distr::Distribution::sample(&rand_distr::StandardNormal, rng)
+}
+
+pub fn uniform(rng: &mut Pcg64, low: f64, high: f64) -> f64 {
+    low + (high - low) * rng.random::<f64>()
+}
