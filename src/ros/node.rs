@@ -73,7 +73,7 @@ impl<'a> Node<'a> {
         let mut roles = publishers.roles();
         roles.extend(Input::ALL.map(Input::role));
         roles.extend([diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
-        announce(ros, &log, &app)?;
+        let contract = app.contract();
 
         let (in_box, time) = (Arc::clone(&mailbox), Arc::clone(&clock));
         let matcher = Matcher::new(app, publishers, in_box, time, Arc::clone(&monitor), log.clone());
@@ -85,6 +85,7 @@ impl<'a> Node<'a> {
         let subscribers = subscribers.into_iter().collect::<Result<_, _>>()?;
         let reset = Some(offer_reset(ros, &mailbox)?);
         let master = MasterLink::new(ros, master, roles, &log)?;
+        announce(ros, &log, config, &contract)?;
         Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, log, _subscribers: subscribers, reset })
     }
 
@@ -124,10 +125,10 @@ fn offer_reset(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<Service, NodeError> 
     ros.service::<Trigger, _>(RESET, handle).map_err(|error| NodeError::ros(format!("offer the service '{RESET}'"), &error))
 }
 
-/// Says what the node is going to do.
-fn announce(ros: &Ros, log: &Log, app: &App) -> Result<(), NodeError> {
+/// Says that the node is ready, and what for.
+fn announce(ros: &Ros, log: &Log, config: &Config, contract: &Contract) -> Result<(), NodeError> {
     let [scan, odometry, pose] = ["scan", "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
-    let frames = &app.config().frames;
+    let frames = &config.frames;
     log.info(&format!(
         "matches {} with {} to {} ({} -> {}{}), {}",
         scan?,
@@ -136,7 +137,7 @@ fn announce(ros: &Ros, log: &Log, app: &App) -> Result<(), NodeError> {
         frames.odom_frame,
         frames.base_frame,
         if frames.publish_tf { ", also on /tf" } else { "" },
-        describe(&app.contract()),
+        describe(contract),
     ));
     Ok(())
 }
