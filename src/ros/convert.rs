@@ -162,10 +162,13 @@ mod tests {
     fn a_planar_covariance_takes_its_places_among_six() {
         let planar = Matrix3::new(1.0, 2.0, 3.0, 2.0, 5.0, 6.0, 3.0, 6.0, 0.0);
         let full = covariance(&planar);
-        assert_eq!([full[0], full[1], full[5]], [1.0, 2.0, 3.0]);
-        assert_eq!([full[6], full[7], full[11]], [2.0, 5.0, 6.0]);
-        assert_eq!([full[30], full[31], full[35]], [3.0, 6.0, LEAST_VARIANCE]);
-        assert_eq!([full[14], full[21], full[28]], [UNOBSERVED; 3]);
+        let holds = |places: [usize; 3], values: [f64; 3]| {
+            assert_eq!(places.map(|place| full[place].to_bits()), values.map(f64::to_bits), "{places:?}");
+        };
+        holds([0, 1, 5], [1.0, 2.0, 3.0]);
+        holds([6, 7, 11], [2.0, 5.0, 6.0]);
+        holds([30, 31, 35], [3.0, 6.0, LEAST_VARIANCE]);
+        holds([14, 21, 28], [UNOBSERVED; 3]);
         assert!(covariance(&Matrix3::from_element(f64::NAN)).iter().all(|v| v.is_finite()));
     }
 

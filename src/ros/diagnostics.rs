@@ -98,7 +98,7 @@ impl Diagnostics {
     pub(super) fn publish(&mut self, ros: &Ros, monitor: &Monitor, dropped: Dropped, master_present: bool, seconds: f64) {
         let state = monitor.take();
         let (counts_before, dropped_before) = mem::replace(&mut self.before, (state.counts, dropped));
-        let report = Report { counts_before, dropped_before, dropped, master_present, seconds, state };
+        let report = Report { state, counts_before, dropped, dropped_before, master_present, seconds };
         let (level, message) = report.verdict();
         let status =
             DiagnosticStatus { level, name: self.name.clone(), message, hardware_id: String::new(), values: report.values() };

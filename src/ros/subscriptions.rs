@@ -22,7 +22,7 @@ use crate::messages::tf2_msgs::TFMessage;
 /// kept.
 const QUEUE: usize = 1000;
 /// Gaps in the numbering of scans that are longer than this are no losses but another numbering.
-const MAX_GAP: u32 = 1000;
+const MAX_GAP: u32 = 100;
 
 /// A topic the node listens to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

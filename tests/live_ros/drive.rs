@@ -173,8 +173,8 @@ pub struct EndlessScan {
 }
 
 impl EndlessScan {
-    pub fn new(seconds: f64) -> Self {
-        Self { header: header(seconds, "laser"), numbers: [0.1; 7], ranges: u32::MAX }
+    pub fn new(number: u32, seconds: f64) -> Self {
+        Self { header: Header { seq: number, ..header(seconds, "laser") }, numbers: [0.1; 7], ranges: u32::MAX }
     }
 }
 

@@ -148,9 +148,10 @@ impl Graph {
     /// The bag with what has been recorded.
     pub fn finish_recording(&self, mut recorder: Process) -> PathBuf {
         std::thread::sleep(Duration::from_millis(500)); // what is still on its way
-        recorder.signal("INT");
-        assert!(recorder.exit_code(PATIENCE).is_some(), "rosbag record does not end");
-        self.dir.path().join("recorded.bag")
+        let bag = self.dir.path().join("recorded.bag");
+        recorder.signal_group("INT"); // `rosbag record` is a script around the recorder
+        assert!(recorder.exit_code(PATIENCE).is_some() && eventually(|| bag.exists()), "{}", recorder.log());
+        bag
     }
 
     /// Plays a bag to its end; it waits a little first, so that everybody has connected.
@@ -223,6 +224,10 @@ impl Process {
         send(name, &self.child.id().to_string());
     }
 
+    pub fn signal_group(&self, name: &str) {
+        send(name, &format!("-{}", self.child.id()));
+    }
+
     pub fn is_running(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
     }
@@ -241,7 +246,7 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if self.is_running() {
-            send("KILL", &format!("-{}", self.child.id()));
+            self.signal_group("KILL");
             let _ = self.child.wait();
         }
     }
