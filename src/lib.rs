@@ -11,6 +11,8 @@ pub mod matching;
 pub mod messages;
 pub mod odometry;
 pub mod replay;
+#[cfg(feature = "ros")]
+pub mod ros;
 pub mod scan;
 pub mod simulation;
 pub mod time;

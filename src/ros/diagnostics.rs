@@ -1,0 +1,213 @@
+//! How the node is doing: `/diagnostics`, once a second by the wall clock.
+
+use std::mem;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use rosrust::api::Ros;
+use rosrust_msg::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
+use rosrust_msg::std_msgs::Header;
+
+use super::NodeError;
+use super::mailbox::Dropped;
+use super::master::Role;
+use super::publishers::Output;
+use crate::app::Estimate;
+use crate::odometry::Outcome;
+
+/// Time between two messages.
+pub(super) const PERIOD: Duration = Duration::from_secs(1);
+
+/// What the matching thread knows of itself, for others to see.
+#[derive(Default)]
+pub(super) struct Monitor {
+    state: Mutex<State>,
+}
+
+#[derive(Clone, Default)]
+struct State {
+    counts: Counts,
+    latencies: Vec<Duration>,
+    problem: Option<String>,
+    mount_assumed: bool,
+    transform_withheld: bool,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Counts {
+    answered: u64,
+    failed: u64,
+    late: u64,
+    refused: u64,
+}
+
+impl Monitor {
+    pub(super) fn record(&self, estimate: &Estimate) {
+        let mut state = self.lock();
+        state.counts.answered += 1;
+        state.counts.late += u64::from(!estimate.deadline_met());
+        state.latencies.push(estimate.elapsed);
+        if let Outcome::Predicted(problem) = &estimate.registration.outcome {
+            state.counts.failed += 1;
+            state.problem = Some(problem.clone());
+        }
+    }
+
+    pub(super) fn count_refused(&self) {
+        self.lock().counts.refused += 1;
+    }
+
+    pub(super) fn set_mount_assumed(&self, assumed: bool) {
+        self.lock().mount_assumed = assumed;
+    }
+
+    pub(super) fn set_transform_withheld(&self) {
+        self.lock().transform_withheld = true;
+    }
+
+    /// The state, and a new beginning for what is kept of one period only.
+    fn take(&self) -> State {
+        let mut state = self.lock();
+        let (latencies, problem) = (mem::take(&mut state.latencies), state.problem.take());
+        State { latencies, problem, ..state.clone() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Publishes the diagnostics.
+pub(super) struct Diagnostics {
+    output: Output<DiagnosticArray>,
+    name: String,
+    before: (Counts, Dropped),
+}
+
+impl Diagnostics {
+    pub(super) fn new(ros: &Ros) -> Result<Self, NodeError> {
+        let name = format!("{}: scan matching", ros.name().trim_start_matches('/'));
+        Ok(Self { output: Output::new(ros, "/diagnostics")?, name, before: (Counts::default(), Dropped::default()) })
+    }
+
+    pub(super) fn role(&self) -> Role {
+        self.output.role()
+    }
+
+    /// Reports on the time since the last report, `seconds` ago.
+    pub(super) fn publish(&mut self, ros: &Ros, monitor: &Monitor, dropped: Dropped, master_present: bool, seconds: f64) {
+        let state = monitor.take();
+        let (counts_before, dropped_before) = mem::replace(&mut self.before, (state.counts, dropped));
+        let report = Report { state, counts_before, dropped, dropped_before, master_present, seconds };
+        let (level, message) = report.verdict();
+        let status =
+            DiagnosticStatus { level, name: self.name.clone(), message, hardware_id: String::new(), values: report.values() };
+        self.output.send(|| DiagnosticArray { header: Header { stamp: ros.now(), ..Default::default() }, status: vec![status] });
+    }
+}
+
+/// One period.
+struct Report {
+    state: State,
+    counts_before: Counts,
+    dropped: Dropped,
+    dropped_before: Dropped,
+    master_present: bool,
+    seconds: f64,
+}
+
+impl Report {
+    fn since(&self, count: fn(&Counts) -> u64) -> u64 {
+        count(&self.state.counts) - count(&self.counts_before)
+    }
+
+    /// The level, and the reasons for it.
+    fn verdict(&self) -> (i8, String) {
+        let (answered, failed) = (self.since(|c| c.answered), self.since(|c| c.failed));
+        let dropped = self.dropped.scans - self.dropped_before.scans;
+        let count = |count: u64, what: &str| (count > 0).then(|| format!("{count} {what}"));
+        let problem = self.state.problem.as_deref().unwrap_or_default();
+        let reasons: Vec<String> = [
+            (answered == 0).then(|| "no scans".into()),
+            count(failed, &format!("of {answered} scans not matched ({problem})")),
+            count(dropped, "scans dropped"),
+            count(self.since(|c| c.late), "answers later than the time budget"),
+            count(self.since(|c| c.refused), "messages refused"),
+            count(self.dropped.events - self.dropped_before.events, "messages other than scans dropped"),
+            self.state.mount_assumed.then(|| "the laser's place on the base is not known".into()),
+            self.state.transform_withheld.then(|| "transform held back: another node publishes it".into()),
+            (!self.master_present).then(|| "the ROS master does not answer".into()),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
+        match (answered > 0 && failed == answered, reasons.is_empty()) {
+            (true, _) => (DiagnosticStatus::ERROR, reasons.join("; ")),
+            (false, false) => (DiagnosticStatus::WARN, reasons.join("; ")),
+            (false, true) => (DiagnosticStatus::OK, "matching".into()),
+        }
+    }
+
+    fn values(&self) -> Vec<KeyValue> {
+        let counts = &self.state.counts;
+        let mut latencies = self.state.latencies.clone();
+        latencies.sort_unstable();
+        let latency = |share: f64| format!("{:.3}", percentile(&latencies, share).as_secs_f64() * 1e3);
+        [
+            ("rate [Hz]", format!("{:.1}", self.since(|c| c.answered) as f64 / self.seconds)),
+            ("scans answered", counts.answered.to_string()),
+            ("scans not matched", counts.failed.to_string()),
+            ("scans dropped", self.dropped.scans.to_string()),
+            ("deadline misses", counts.late.to_string()),
+            ("messages refused", counts.refused.to_string()),
+            ("latency p50 [ms]", latency(0.5)),
+            ("latency p99 [ms]", latency(0.99)),
+            ("latency max [ms]", latency(1.0)),
+        ]
+        .map(|(key, value)| KeyValue { key: key.into(), value })
+        .into()
+    }
+}
+
+/// The least of these `sorted` times that a `share` of them does not exceed; zero when there are none.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a share of a length
+fn percentile(sorted: &[Duration], share: f64) -> Duration {
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied().unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn report(counts: Counts, problem: Option<&str>) -> Report {
+        Report {
+            state: State { counts, problem: problem.map(Into::into), ..Default::default() },
+            counts_before: Counts { answered: 10, ..Default::default() },
+            dropped: Dropped::default(),
+            dropped_before: Dropped::default(),
+            master_present: true,
+            seconds: 1.0,
+        }
+    }
+
+    #[test]
+    fn the_level_follows_from_the_last_period() {
+        let counts = |answered, failed| Counts { answered, failed, ..Default::default() };
+        assert_eq!(report(counts(50, 0), None).verdict(), (DiagnosticStatus::OK, "matching".into()));
+        assert_eq!(report(counts(10, 0), None).verdict(), (DiagnosticStatus::WARN, "no scans".into()));
+        let some = (DiagnosticStatus::WARN, "3 of 40 scans not matched (fog)".into());
+        assert_eq!(report(counts(50, 3), Some("fog")).verdict(), some);
+        assert_eq!(report(counts(50, 40), Some("fog")).verdict().0, DiagnosticStatus::ERROR);
+        let unknown = Report { master_present: false, ..report(counts(50, 0), None) };
+        assert_eq!(unknown.verdict().0, DiagnosticStatus::WARN);
+    }
+
+    #[test]
+    fn percentiles_are_latencies_that_were_measured() {
+        let sorted: Vec<Duration> = (1..=100).map(Duration::from_millis).collect();
+        let of = |share| percentile(&sorted, share).as_millis();
+        assert_eq!((of(0.5), of(0.99), of(1.0), of(0.0)), (50, 99, 100, 1));
+        assert_eq!(percentile(&[], 0.5), Duration::ZERO);
+    }
+}

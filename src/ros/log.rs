@@ -1,0 +1,83 @@
+//! What the node has to say: on stderr, and on `/rosout` once there is a master.
+
+use std::collections::HashMap;
+use std::io::Write as _;
+use std::time::Duration;
+
+use rosrust::Publisher;
+use rosrust::api::Ros;
+use rosrust_msg::rosgraph_msgs;
+
+use super::NodeError;
+
+/// Topic of all nodes' logs.
+pub(super) const ROSOUT: &str = "/rosout";
+const QUEUE: usize = 100;
+const WARNING_PERIOD: Duration = Duration::from_secs(1);
+
+/// Writes lines for people. They cannot fail: a closed stderr must not end the node.
+#[derive(Clone)]
+pub(super) struct Log {
+    node: String,
+    rosout: Publisher<rosgraph_msgs::Log>,
+}
+
+impl Log {
+    pub(super) fn new(ros: &Ros) -> Result<Self, NodeError> {
+        let rosout = ros.publish(ROSOUT, QUEUE).map_err(|error| NodeError::ros("publish /rosout", &error))?;
+        Ok(Self { node: ros.name().into(), rosout })
+    }
+
+    pub(super) fn info(&self, text: &str) {
+        self.write("INFO", rosgraph_msgs::Log::INFO, text);
+    }
+
+    pub(super) fn warn(&self, text: &str) {
+        self.write("WARN", rosgraph_msgs::Log::WARN, text);
+    }
+
+    pub(super) fn error(&self, text: &str) {
+        self.write("ERROR", rosgraph_msgs::Log::ERROR, text);
+    }
+
+    fn write(&self, level_name: &str, level: i8, text: &str) {
+        print(&format!("[{level_name}] {}: {text}", self.node));
+        let message = rosgraph_msgs::Log { level, name: self.node.clone(), msg: text.into(), ..Default::default() };
+        let _ = self.rosout.send(message); // only queues
+    }
+}
+
+/// A line on stderr, for the time before there is a [`Log`].
+pub(super) fn print(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Lets a warning of each subject through once a second.
+#[derive(Default)]
+pub(super) struct Throttle {
+    last: HashMap<&'static str, Duration>,
+}
+
+impl Throttle {
+    /// Whether a warning about `subject` may be given when the clock reads `now`.
+    pub(super) fn allows(&mut self, subject: &'static str, now: Duration) -> bool {
+        let allowed = self.last.get(subject).is_none_or(|last| now.saturating_sub(*last) >= WARNING_PERIOD);
+        if allowed {
+            self.last.insert(subject, now);
+        }
+        allowed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_subject_warns_once_a_second() {
+        let mut throttle = Throttle::default();
+        let at = Duration::from_millis;
+        assert!(throttle.allows("scan", at(0)) && throttle.allows("odom", at(0)));
+        assert!(!throttle.allows("scan", at(999)) && throttle.allows("scan", at(1000)) && !throttle.allows("scan", at(1001)));
+    }
+}

@@ -1,0 +1,150 @@
+//! What has been received and not yet been worked on.
+
+use std::collections::VecDeque;
+use std::mem;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use super::subscriptions::Input;
+
+/// Events that may wait: four seconds of odometry at 1 kHz. A match that takes longer loses the oldest.
+const CAPACITY: usize = 4096;
+
+/// A message as it came.
+#[derive(Debug, PartialEq)]
+pub(super) struct Letter {
+    /// Reading of the clock when it came.
+    pub(super) arrival: Duration,
+    /// Name of the node that sent it.
+    pub(super) sender: String,
+    /// Its wire form.
+    pub(super) bytes: Vec<u8>,
+}
+
+/// Anything but a scan.
+#[derive(Debug, PartialEq)]
+pub(super) enum Event {
+    /// A message.
+    Message(Input, Letter),
+    /// A call of the service `reset`.
+    Reset,
+}
+
+/// What there is to do: the events first, in their order of arrival, then the scan.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Work {
+    pub(super) events: VecDeque<Event>,
+    pub(super) scan: Option<Letter>,
+}
+
+/// Work for the matching thread. Of scans only the newest is kept: an answer to an old one helps nobody.
+#[derive(Default)]
+pub(super) struct Mailbox {
+    state: Mutex<State>,
+    filled: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    work: Work,
+    dropped: Dropped,
+    closed: bool,
+}
+
+/// What was lost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Dropped {
+    /// Scans that newer ones took the place of, or that were lost on their way here.
+    pub(super) scans: u64,
+    /// Other messages.
+    pub(super) events: u64,
+}
+
+impl Mailbox {
+    pub(super) fn put_scan(&self, letter: Letter) {
+        let mut state = self.lock();
+        let overwritten = state.work.scan.replace(letter).is_some();
+        state.dropped.scans += u64::from(overwritten);
+        self.filled.notify_one();
+    }
+
+    pub(super) fn put_event(&self, event: Event) {
+        let mut state = self.lock();
+        if state.work.events.len() == CAPACITY {
+            state.work.events.pop_front();
+            state.dropped.events += 1;
+        }
+        state.work.events.push_back(event);
+        self.filled.notify_one();
+    }
+
+    /// Counts scans that never came.
+    pub(super) fn count_lost_scans(&self, count: u64) {
+        self.lock().dropped.scans += count;
+    }
+
+    /// Waits for work. `None` once the mailbox is closed.
+    pub(super) fn take(&self) -> Option<Work> {
+        let idle = |state: &mut State| !state.closed && state.work.scan.is_none() && state.work.events.is_empty();
+        let mut state = self.filled.wait_while(self.lock(), idle).unwrap_or_else(PoisonError::into_inner);
+        (!state.closed).then(|| mem::take(&mut state.work))
+    }
+
+    pub(super) fn dropped(&self) -> Dropped {
+        self.lock().dropped
+    }
+
+    /// Ends [`Self::take`].
+    pub(super) fn close(&self) {
+        self.lock().closed = true;
+        self.filled.notify_all();
+    }
+
+    /// The state is whole at every moment, even if a thread should have died with the lock in its hand.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn letter(arrival: u64) -> Letter {
+        Letter { arrival: Duration::from_millis(arrival), sender: "/driver".into(), bytes: Vec::new() }
+    }
+
+    #[test]
+    fn the_newest_scan_wins_and_events_keep_their_order() {
+        let mailbox = Mailbox::default();
+        mailbox.put_event(Event::Message(Input::Odometry, letter(1)));
+        mailbox.put_scan(letter(2));
+        mailbox.put_event(Event::Reset);
+        mailbox.put_scan(letter(3));
+        let work = mailbox.take().unwrap();
+        assert_eq!(work.scan, Some(letter(3)));
+        assert_eq!(work.events, [Event::Message(Input::Odometry, letter(1)), Event::Reset]);
+        assert_eq!(mailbox.dropped(), Dropped { scans: 1, events: 0 });
+    }
+
+    #[test]
+    fn a_full_mailbox_loses_the_oldest_events_and_counts_them() {
+        let mailbox = Mailbox::default();
+        for arrival in 0..CAPACITY as u64 + 2 {
+            mailbox.put_event(Event::Message(Input::Odometry, letter(arrival)));
+        }
+        let work = mailbox.take().unwrap();
+        assert_eq!((work.events.len(), work.events.front()), (CAPACITY, Some(&Event::Message(Input::Odometry, letter(2)))));
+        assert_eq!(mailbox.dropped(), Dropped { scans: 0, events: 2 });
+    }
+
+    #[test]
+    fn closing_ends_the_wait() {
+        let mailbox = Mailbox::default();
+        std::thread::scope(|scope| {
+            let waiting = scope.spawn(|| mailbox.take());
+            mailbox.close();
+            assert_eq!(waiting.join().unwrap(), None);
+        });
+    }
+}

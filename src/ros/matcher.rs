@@ -1,0 +1,171 @@
+//! The matching thread: empties the mailbox, drives the application and publishes its answers.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde::Deserialize;
+
+use super::convert::Answer;
+use super::diagnostics::Monitor;
+use super::log::{Log, Throttle};
+use super::mailbox::{Event, Letter, Mailbox, Work};
+use super::publishers::Publishers;
+use super::subscriptions::Input;
+use crate::anytime::clock::Clock;
+use crate::app::{App, Estimate, MountSource};
+use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::tf2_msgs::TFMessage;
+use crate::messages::{Message, decode};
+use crate::odometry::Outcome;
+use crate::transforms::frame_name;
+
+/// Transforms may come a little later than the first scans do.
+const PATIENCE_FOR_MOUNT: Duration = Duration::from_secs(2);
+
+/// Everything the matching thread owns.
+pub(super) struct Matcher {
+    app: App,
+    publishers: Publishers,
+    mailbox: Arc<Mailbox>,
+    clock: Arc<dyn Clock>,
+    monitor: Arc<Monitor>,
+    log: Log,
+    throttle: Throttle,
+    mount_told: Option<MountSource>,
+    first_answer: Option<Duration>,
+}
+
+impl Matcher {
+    pub(super) fn new(
+        app: App,
+        publishers: Publishers,
+        mailbox: Arc<Mailbox>,
+        clock: Arc<dyn Clock>,
+        monitor: Arc<Monitor>,
+        log: Log,
+    ) -> Self {
+        Self {
+            app,
+            publishers,
+            mailbox,
+            clock,
+            monitor,
+            log,
+            throttle: Throttle::default(),
+            mount_told: None,
+            first_answer: None,
+        }
+    }
+
+    /// Works until the mailbox is closed.
+    pub(super) fn run(mut self) {
+        while let Some(Work { events, scan }) = self.mailbox.take() {
+            for event in events {
+                self.handle(event);
+            }
+            if let Some(letter) = scan
+                && let Some(scan) = self.read(Input::Scan, &letter)
+            {
+                self.answer(&scan, letter.arrival);
+            }
+        }
+    }
+
+    fn handle(&mut self, event: Event) {
+        let (input, letter) = match event {
+            Event::Reset => return self.app.reset(),
+            Event::Message(input, letter) => (input, letter),
+        };
+        let outcome = match input {
+            Input::Scan => Ok(()), // scans are no events
+            Input::Odometry => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_odometry(&message)),
+            Input::InitialPose => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_initial_pose(&message)),
+            Input::Contract => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_contract(&message)),
+            Input::Transforms | Input::StaticTransforms => self.read(input, &letter).map_or(Ok(()), |message| {
+                self.watch_for_second_parent(&message, &letter.sender);
+                self.app.on_transforms(&message)
+            }),
+        };
+        if let Err(error) = outcome {
+            self.refuse(input, &letter.sender, &error);
+        }
+    }
+
+    fn read<T: Message + for<'de> Deserialize<'de>>(&mut self, input: Input, letter: &Letter) -> Option<T> {
+        decode(&letter.bytes).map_err(|error| self.refuse(input, &letter.sender, &error)).ok()
+    }
+
+    fn refuse(&mut self, input: Input, sender: &str, problem: &dyn std::error::Error) {
+        self.monitor.count_refused();
+        self.warn(input.topic(), &format!("a message from {sender} is refused: {problem}"));
+    }
+
+    fn warn(&mut self, subject: &'static str, text: &str) {
+        if self.throttle.allows(subject, self.clock.now()) {
+            self.log.warn(&format!("{subject}: {text}"));
+        }
+    }
+
+    /// A frame has one parent. Who else publishes one for the base was there first, or knows better: a simulator, say.
+    fn watch_for_second_parent(&mut self, message: &TFMessage, sender: &str) {
+        let base = frame_name(&self.app.config().frames.base_frame);
+        let rival = message.transforms.iter().find(|transform| frame_name(&transform.child_frame_id) == base);
+        let Some(rival) = rival else { return };
+        if self.publishers.withhold_transform() {
+            self.log.warn(&format!(
+                "{sender} publishes the transform {} -> {base}: this node's own is held back from now on, as a frame has one parent \
+                 (parameter publish_tf)",
+                rival.header.frame_id,
+            ));
+            self.monitor.set_transform_withheld();
+        }
+    }
+
+    fn answer(&mut self, scan: &LaserScan, arrival: Duration) {
+        self.app.set_keep_matched_points(self.publishers.wants_matched_points());
+        let mut estimate = self.app.on_scan(scan, arrival);
+        self.publish(&mut estimate, arrival);
+        self.app.maintain();
+        if let Outcome::Predicted(problem) = &estimate.registration.outcome {
+            self.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
+        }
+        self.watch_mount();
+        self.monitor.record(&estimate);
+    }
+
+    fn publish(&mut self, estimate: &mut Estimate, arrival: Duration) {
+        // Numbers of headers wrap around.
+        #[allow(clippy::cast_possible_truncation)]
+        let number = self.app.counters().scans as u32;
+        let frames = &self.app.config().frames;
+        self.publishers.publish_pose(&Answer { estimate, number, frames });
+        let now = self.clock.now();
+        estimate.elapsed = now.saturating_sub(arrival);
+        let answer = Answer { estimate, number, frames };
+        self.publishers.publish_details(&answer, self.app.odometry_counters().keyframes, self.mailbox.dropped().scans);
+        self.publishers.publish_display(&answer, self.app.matched_points(), now);
+    }
+
+    /// Says once where the laser's place is known from, or that it is not.
+    fn watch_mount(&mut self) {
+        let now = self.clock.now();
+        let waited = now.saturating_sub(*self.first_answer.get_or_insert(now));
+        let (mount, source) = self.app.mount();
+        if self.mount_told == Some(source) || (source == MountSource::Assumed && waited < PATIENCE_FOR_MOUNT) {
+            return;
+        }
+        self.mount_told = Some(source);
+        self.monitor.set_mount_assumed(source == MountSource::Assumed);
+        let place = mount.base_from_laser;
+        let head = if mount.upside_down { ", upside down" } else { "" };
+        let text = format!("[{:.3} m, {:.3} m, {:.3} rad]{head}", place.x, place.y, place.theta);
+        match source {
+            MountSource::Parameter => self.log.info(&format!("the laser's place on the base is {text}, by odometry.laser_in_base")),
+            MountSource::Transforms => self.log.info(&format!("the laser's place on the base is {text}, by tf")),
+            MountSource::Assumed => self.log.warn(
+                "the laser's place on the base is not known and taken to be the base's origin: set the parameter \
+                 odometry.laser_in_base to [x, y, yaw], or publish the transform from the base frame to the laser's on /tf_static",
+            ),
+        }
+    }
+}

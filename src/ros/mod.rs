@@ -1,0 +1,68 @@
+//! The ROS 1 node around [`App`](crate::app::App). Nothing else in this project knows of rosrust.
+//!
+//! ```text
+//!  rosrust's threads          matching thread               main thread
+//!  subscriptions --> mailbox --> matcher --> publishers     node: signals, diagnostics at 1 Hz, the master
+//! ```
+//!
+//! Invariants: callbacks only note the arrival and fill the [`mailbox`], so that nothing that is slow ever delays reception; a scan is
+//! either answered or counted as dropped; messages leave with the stamp of the scan they are about; nothing waits on ROS time, which
+//! may stand still.
+
+mod convert;
+mod diagnostics;
+mod log;
+mod mailbox;
+mod master;
+mod matcher;
+mod node;
+mod params;
+mod path;
+mod publishers;
+mod shutdown;
+mod subscriptions;
+
+pub use node::run;
+
+use thiserror::Error;
+
+use crate::anytime::contract::ContractError;
+use crate::config::ConfigError;
+
+/// Why the node cannot run.
+#[derive(Debug, Error)]
+pub enum NodeError {
+    /// A parameter is wrong.
+    #[error("{problem}\nParameters stay on the master until they are deleted: rosparam delete {node}")]
+    Parameters {
+        /// Full name of the node.
+        node: String,
+        /// Which one, and what would be right.
+        problem: ConfigError,
+    },
+    /// The contract among the parameters is none.
+    #[error(transparent)]
+    Contract(#[from] ContractError),
+    /// The ROS graph refused something.
+    #[error("cannot {action}: {problem}")]
+    Ros {
+        /// What was tried.
+        action: String,
+        /// rosrust's or the master's reason.
+        problem: String,
+    },
+    /// The operating system refused something.
+    #[error("cannot {action}: {problem}")]
+    System {
+        /// What was tried.
+        action: &'static str,
+        /// The system's reason.
+        problem: std::io::Error,
+    },
+}
+
+impl NodeError {
+    fn ros(action: impl Into<String>, problem: &impl ToString) -> Self {
+        Self::Ros { action: action.into(), problem: problem.to_string() }
+    }
+}

@@ -1,0 +1,155 @@
+//! The node as a whole: puts the parts together and looks after them.
+
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+
+use rosrust::api::{Master, Ros};
+use rosrust::{Service, Subscriber};
+use rosrust_msg::std_srvs::{Trigger, TriggerRes};
+
+use super::NodeError;
+use super::diagnostics::{self, Diagnostics, Monitor};
+use super::log::{Log, ROSOUT};
+use super::mailbox::{Event, Mailbox};
+use super::master::{Change, MasterLink, Role, connect, resolved, wait_for_master};
+use super::matcher::Matcher;
+use super::params;
+use super::publishers::Publishers;
+use super::shutdown::StopSignal;
+use super::subscriptions::{Input, subscribe};
+use crate::anytime::clock::{Clock, MonotonicClock};
+use crate::anytime::contract::Contract;
+use crate::app::App;
+use crate::config::Config;
+
+const NAME: &str = "scan_matcher";
+const RESET: &str = "~reset";
+/// How often the node looks whether it is to stop.
+const TICK: Duration = Duration::from_millis(100);
+
+/// Runs the node `scan_matcher` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
+/// parameters.
+pub fn run() -> Result<(), NodeError> {
+    let stop = StopSignal::install()?;
+    if !wait_for_master(&stop)? {
+        return Ok(());
+    }
+    let ros = Ros::new(NAME).map_err(|error| NodeError::ros("start as a ROS node", &error))?;
+    let outcome = serve(&ros, &stop);
+    ros.shutdown_sender().shutdown(); // takes the last entry out of the master's books: rosrust's own publisher of /rosout
+    outcome
+}
+
+fn serve(ros: &Ros, stop: &StopSignal) -> Result<(), NodeError> {
+    let master = connect(ros.name(), ros.uri())?;
+    let config = params::read(&master, ros.name())?;
+    Node::start(ros, &master, &config)?.supervise(stop);
+    Ok(())
+}
+
+struct Node<'a> {
+    ros: &'a Ros,
+    clock: Arc<dyn Clock>,
+    mailbox: Arc<Mailbox>,
+    monitor: Arc<Monitor>,
+    diagnostics: Diagnostics,
+    master: MasterLink<'a>,
+    matching: thread::JoinHandle<()>,
+    log: Log,
+    // Dropping these ends them.
+    _subscribers: Vec<Subscriber>,
+    reset: Option<Service>,
+}
+
+impl<'a> Node<'a> {
+    fn start(ros: &'a Ros, master: &'a Master, config: &Config) -> Result<Self, NodeError> {
+        let log = Log::new(ros)?;
+        let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
+        let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
+        let app = App::new(config, Arc::clone(&clock))?;
+        let publishers = Publishers::new(ros, config.frames.publish_tf)?;
+        let diagnostics = Diagnostics::new(ros)?;
+        let mut roles = publishers.roles();
+        roles.extend(Input::ALL.map(Input::role));
+        roles.extend([diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
+        let contract = app.contract();
+
+        let (in_box, time) = (Arc::clone(&mailbox), Arc::clone(&clock));
+        let matcher = Matcher::new(app, publishers, in_box, time, Arc::clone(&monitor), log.clone());
+        let matching = thread::Builder::new()
+            .name("matching".into())
+            .spawn(|| matcher.run())
+            .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
+        let subscribers = Input::ALL.map(|input| subscribe(ros, input, &mailbox, &clock, &log));
+        let subscribers = subscribers.into_iter().collect::<Result<_, _>>()?;
+        let reset = Some(offer_reset(ros, &mailbox)?);
+        let master = MasterLink::new(ros, master, roles, &log)?;
+        announce(ros, &log, config, &contract)?;
+        Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, log, _subscribers: subscribers, reset })
+    }
+
+    /// Once a second: the master and the diagnostics. Until somebody wants the node to stop.
+    fn supervise(mut self, stop: &StopSignal) {
+        let mut last = self.clock.now();
+        while !stop.wait(TICK) && self.ros.is_ok() {
+            let elapsed = self.clock.now().saturating_sub(last);
+            if elapsed >= diagnostics::PERIOD {
+                last = self.clock.now();
+                self.look_after_master();
+                let (dropped, present) = (self.mailbox.dropped(), self.master.is_present());
+                self.diagnostics.publish(self.ros, &self.monitor, dropped, present, elapsed.as_secs_f64());
+            }
+        }
+        self.mailbox.close();
+        let _ = self.matching.join(); // a panic there has been reported by now
+    }
+
+    fn look_after_master(&mut self) {
+        if self.master.check() == Change::Returned {
+            self.reset = None; // the old one must be gone before its name can be used again
+            match offer_reset(self.ros, &self.mailbox) {
+                Ok(service) => self.reset = Some(service),
+                Err(error) => self.log.warn(&error.to_string()),
+            }
+        }
+    }
+}
+
+fn offer_reset(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<Service, NodeError> {
+    let mailbox = Arc::clone(mailbox);
+    let handle = move |_| {
+        mailbox.put_event(Event::Reset);
+        Ok(TriggerRes { success: true, message: "the next scan is the first one, at the initial pose".into() })
+    };
+    ros.service::<Trigger, _>(RESET, handle).map_err(|error| NodeError::ros(format!("offer the service '{RESET}'"), &error))
+}
+
+/// Says that the node is ready, and what for.
+fn announce(ros: &Ros, log: &Log, config: &Config, contract: &Contract) -> Result<(), NodeError> {
+    let [scan, odometry, pose] = ["scan", "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
+    let frames = &config.frames;
+    log.info(&format!(
+        "matches {} with {} to {} ({} -> {}{}), {}",
+        scan?,
+        odometry?,
+        pose?,
+        frames.odom_frame,
+        frames.base_frame,
+        if frames.publish_tf { ", also on /tf" } else { "" },
+        describe(contract),
+    ));
+    Ok(())
+}
+
+fn describe(contract: &Contract) -> String {
+    let limits: Vec<String> = [
+        contract.time_budget.map(|budget| format!("within {budget:?}")),
+        contract.translation_error_bound.map(|bound| format!("to {bound} m")),
+        contract.rotation_error_bound.map(|bound| format!("to {bound} rad")),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    if limits.is_empty() { "to completion".into() } else { limits.join(", ") }
+}

@@ -1,0 +1,72 @@
+//! The node's parameters.
+
+use std::path::Path;
+
+use rosrust::api::Master;
+
+use super::NodeError;
+use crate::config::{Config, ConfigError};
+use crate::knobs::Value;
+
+/// Names a YAML file to read before the other parameters.
+const CONFIG_FILE: &str = "config";
+/// Old nodes' way of prefixing frames: launch files set it for whole groups of nodes. It means nothing here.
+const TF_PREFIX: &str = "tf_prefix";
+
+/// Reads the private parameters of `node` from the master.
+pub(super) fn read(master: &Master, node: &str) -> Result<Config, NodeError> {
+    let failed = |error| NodeError::ros(format!("read the parameters of {node}"), &error);
+    let exists = master.has_param(node).map_err(failed)?;
+    let tree = if exists { master.get_param(node).map_err(failed)? } else { Value::Null };
+    configure(tree, node).map_err(|problem| NodeError::Parameters { node: node.into(), problem })
+}
+
+fn configure(mut tree: Value, node: &str) -> Result<Config, ConfigError> {
+    let mut config = Config::default();
+    if let Value::Object(parameters) = &mut tree {
+        parameters.remove(TF_PREFIX);
+        if let Some(file) = parameters.remove(CONFIG_FILE) {
+            read_file(&mut config, &file, node)?;
+        }
+    }
+    config.set_tree(&tree, &format!("parameters of {node}"))?;
+    Ok(config)
+}
+
+/// An empty name is what a launch file hands on when it was given none.
+fn read_file(config: &mut Config, file: &Value, node: &str) -> Result<(), ConfigError> {
+    match file.as_str() {
+        Some("") => Ok(()),
+        Some(path) => config.set_file(Path::new(path)),
+        None => Err(ConfigError::BadValue {
+            source_name: format!("parameters of {node}"),
+            path: CONFIG_FILE.into(),
+            problem: format!("expected the name of a YAML file, got {file}"),
+        }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn the_file_comes_first_and_single_parameters_win() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "base_frame: car\nmatching: {max_iterations: 7}\n").unwrap();
+        let tree = json!({"config": file.path(), "tf_prefix": "robot", "matching": {"max_iterations": 9}});
+        let config = configure(tree, "/node").unwrap();
+        assert_eq!((config.frames.base_frame.as_str(), config.matching.max_iterations), ("car", 9));
+        assert_eq!(configure(Value::Null, "/node").unwrap(), Config::default());
+        assert_eq!(configure(json!({"config": ""}), "/node").unwrap(), Config::default());
+    }
+
+    #[test]
+    fn mistakes_name_the_node_and_the_remedy() {
+        let typo = configure(json!({"matching": {"max_iteration": 9}}), "/node").unwrap_err().to_string();
+        assert!(typo.contains("parameters of /node") && typo.contains("did you mean 'matching.max_iterations'"), "{typo}");
+        assert!(configure(json!({"config": 3}), "/node").unwrap_err().to_string().contains("YAML file"));
+        assert!(configure(json!({"config": "no/such.yaml"}), "/node").unwrap_err().to_string().contains("no/such.yaml"));
+    }
+}

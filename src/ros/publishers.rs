@@ -1,0 +1,154 @@
+//! What the node says.
+
+use std::marker::PhantomData;
+use std::time::Duration;
+
+use rosrust::api::Ros;
+use rosrust::{Message, Publisher, RawMessage, RawMessageDescription};
+use rosrust_msg::anytime_scan_matcher::MatchReport;
+use rosrust_msg::geometry_msgs::PoseStamped;
+use rosrust_msg::nav_msgs::{Odometry, Path};
+use rosrust_msg::std_msgs::Int32;
+use rosrust_msg::tf2_msgs::TFMessage;
+use rosrust_msg::visualization_msgs::Marker;
+
+use super::NodeError;
+use super::convert::Answer;
+use super::master::Role;
+use super::path::PathHistory;
+use crate::odometry::{MatchedPoints, Outcome};
+use crate::time::Stamp;
+
+/// Messages that may wait for a subscriber: a bag played fast makes bursts of answers, and of `icp_state` every edge counts.
+const QUEUE: usize = 100;
+
+/// A topic that messages of one type leave by.
+///
+/// rosrust writes the present time over stamps of zero and its own numbers over ours, so it is given bytes.
+pub(super) struct Output<T> {
+    topic: &'static str,
+    publisher: Publisher<RawMessage>,
+    message: PhantomData<fn(T)>,
+}
+
+impl<T: Message> Output<T> {
+    pub(super) fn new(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
+        let publisher = ros
+            .publish_with_description(topic, QUEUE, RawMessageDescription::from_message::<T>())
+            .map_err(|error| NodeError::ros(format!("publish '{topic}'"), &error))?;
+        Ok(Self { topic, publisher, message: PhantomData })
+    }
+
+    /// New listeners are given the last message at once.
+    fn latched(mut self) -> Self {
+        self.publisher.set_latching(true);
+        self
+    }
+
+    fn has_listeners(&self) -> bool {
+        self.publisher.subscriber_count() > 0
+    }
+
+    /// Hands a message over, if anybody listens; what it takes to make it is spent only then.
+    pub(super) fn send(&self, message: impl FnOnce() -> T) {
+        if self.has_listeners() {
+            let mut bytes = Vec::new();
+            // Neither can fail: the one writes to memory, the other only queues.
+            let _ = message().encode(&mut bytes);
+            let _ = self.publisher.send(RawMessage(bytes));
+        }
+    }
+
+    pub(super) fn role(&self) -> Role {
+        Role::Publisher { topic: self.topic, message_type: T::msg_type() }
+    }
+}
+
+/// Every topic that an answer leaves by.
+pub(super) struct Publishers {
+    pose: Output<PoseStamped>,
+    state: Output<Int32>,
+    odometry: Output<Odometry>,
+    report: Output<MatchReport>,
+    path: Output<Path>,
+    debug: Output<Marker>,
+    transform: Option<Output<TFMessage>>,
+    edge: i32,
+    history: PathHistory,
+    last_transform: Option<Stamp>,
+}
+
+impl Publishers {
+    pub(super) fn new(ros: &Ros, publish_tf: bool) -> Result<Self, NodeError> {
+        Ok(Self {
+            pose: Output::new(ros, "scan_match_location")?,
+            state: Output::new(ros, "icp_state")?,
+            odometry: Output::new(ros, "icp/odom")?,
+            report: Output::new(ros, "icp_report")?,
+            path: Output::new(ros, "icp/path")?.latched(),
+            debug: Output::new(ros, "scan_match_debug")?,
+            transform: if publish_tf { Some(Output::new(ros, "/tf")?) } else { None },
+            edge: 0,
+            history: PathHistory::default(),
+            last_transform: None,
+        })
+    }
+
+    /// How the topics stand in the master's books.
+    pub(super) fn roles(&self) -> Vec<Role> {
+        let always =
+            [self.pose.role(), self.state.role(), self.odometry.role(), self.report.role(), self.path.role(), self.debug.role()];
+        always.into_iter().chain(self.transform.as_ref().map(Output::role)).collect()
+    }
+
+    /// Whether anybody looks at matched points.
+    pub(super) fn wants_matched_points(&self) -> bool {
+        self.debug.has_listeners()
+    }
+
+    /// Ends the publication of transforms; whether there was any.
+    pub(super) fn withhold_transform(&mut self) -> bool {
+        self.transform.take().is_some()
+    }
+
+    /// What the controller waits for: the pose, and the edge that says it is there.
+    pub(super) fn publish_pose(&mut self, answer: &Answer) {
+        self.pose.send(|| answer.pose_stamped());
+        self.edge = 1 - self.edge;
+        self.state.send(|| Int32 { data: self.edge });
+    }
+
+    /// Everything else. The counts go into the report.
+    pub(super) fn publish_details(&mut self, answer: &Answer, keyframes: u64, dropped: u64) {
+        self.publish_transform(answer);
+        self.odometry.send(|| answer.odometry());
+        self.report.send(|| answer.report(keyframes, dropped));
+    }
+
+    /// tf does not want a stamp twice, and a transform of the past would only say what an answer out of order repeats.
+    fn publish_transform(&mut self, answer: &Answer) {
+        let (stamp, outcome) = (answer.estimate.stamp, &answer.estimate.registration.outcome);
+        let Some(transform) = &self.transform else { return };
+        if *outcome == Outcome::First || self.last_transform.is_none_or(|last| stamp > last) {
+            self.last_transform = Some(stamp);
+            transform.send(|| TFMessage { transforms: vec![answer.transform()] });
+        }
+    }
+
+    /// What people look at.
+    pub(super) fn publish_display(&mut self, answer: &Answer, matched_points: Option<&MatchedPoints>, now: Duration) {
+        let registration = &answer.estimate.registration;
+        if registration.outcome == Outcome::First {
+            self.history.clear();
+        }
+        self.history.add(&registration.odom_from_base, || answer.pose_stamped());
+        if self.path.has_listeners()
+            && let Some(poses) = self.history.due(now)
+        {
+            self.path.send(|| Path { header: answer.header(), poses });
+        }
+        for marker in matched_points.into_iter().flat_map(|points| answer.markers(points)) {
+            self.debug.send(|| marker);
+        }
+    }
+}

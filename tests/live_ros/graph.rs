@@ -1,0 +1,257 @@
+//! A ROS graph of its own for each test: a master on a free port, and everything the test starts ended when it is over.
+
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::os::unix::process::CommandExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+
+pub const PACKAGE: &str = env!("CARGO_MANIFEST_DIR");
+const NODE: &str = env!("CARGO_BIN_EXE_scan_matcher");
+/// For whatever should happen soon; a loaded machine may take its time.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Waits until `condition` holds; whether it came to hold.
+pub fn eventually(condition: impl FnMut() -> bool) -> bool {
+    within(PATIENCE, condition)
+}
+
+pub fn within(time: Duration, mut condition: impl FnMut() -> bool) -> bool {
+    let start = Instant::now();
+    while !condition() {
+        if start.elapsed() > time {
+            return false;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    true
+}
+
+/// Whether `program` is there. Where it must be (in CI) its absence is a failure, elsewhere it is said loudly.
+pub fn installed(program: &str) -> bool {
+    let found = std::env::var_os("PATH").is_some_and(|path| std::env::split_paths(&path).any(|dir| dir.join(program).is_file()));
+    if !found {
+        assert!(std::env::var("CI").as_deref() != Ok("true"), "{program} is not installed, and this is CI");
+        eprintln!("SKIPPED: {program} is not installed; this test checks nothing");
+    }
+    found
+}
+
+/// One test at a time: they measure times, and a machine with few cores runs many processes in each.
+static TURN: Mutex<()> = Mutex::new(());
+
+pub struct Graph {
+    pub dir: TempDir,
+    port: u16,
+    master: Option<Process>,
+    _turn: MutexGuard<'static, ()>,
+}
+
+impl Graph {
+    /// Without a master. `None` where ROS is not installed.
+    pub fn without_master() -> Option<Self> {
+        if !installed("roscore") {
+            return None;
+        }
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let port = TcpListener::bind("localhost:0").unwrap().local_addr().unwrap().port();
+        Some(Self { dir: TempDir::new().unwrap(), port, master: None, _turn: turn })
+    }
+
+    pub fn start() -> Option<Self> {
+        let mut graph = Self::without_master()?;
+        graph.start_master();
+        Some(graph)
+    }
+
+    /// roscore's master; roscore itself would start it in a session of its own, where it outlives a test that fails.
+    pub fn start_master(&mut self) {
+        let port = self.port.to_string();
+        self.master = Some(self.spawn("rosmaster", &["--core", "-p", &port]));
+        let address = format!("localhost:{port}");
+        assert!(eventually(|| TcpStream::connect(&address).is_ok()), "no master: {}", self.master.as_ref().unwrap().log());
+    }
+
+    pub fn stop_master(&mut self) {
+        self.master = None;
+    }
+
+    /// A command with the environment of this graph, and nothing of the one that cargo set up for the build.
+    pub fn command(&self, program: impl AsRef<std::ffi::OsStr>) -> Command {
+        let mut command = Command::new(program);
+        command
+            .current_dir(self.dir.path())
+            .env("PWD", self.dir.path()) // catkin_make goes by this
+            .env_remove("ROSRUST_MSG_PATH")
+            .env_remove("CMAKE_PREFIX_PATH")
+            .env_remove("ROS_NAMESPACE")
+            .env_remove("ROS_IP")
+            .env_remove("ROS_DISTRO")
+            .env("ROS_PACKAGE_PATH", format!("{PACKAGE}:/usr/share"))
+            .env("ROS_MASTER_URI", format!("http://localhost:{}", self.port))
+            .env("ROS_HOSTNAME", "localhost")
+            .env("ROS_HOME", self.dir.path().join("ros"))
+            .env("PYTHONUNBUFFERED", "1");
+        command
+    }
+
+    pub fn spawn(&self, program: &str, arguments: &[&str]) -> Process {
+        let mut command = self.command(program);
+        command.args(arguments);
+        Process::spawn(command, self.dir.path())
+    }
+
+    /// Standard output of a command that succeeds.
+    pub fn output(&self, program: &str, arguments: &[&str]) -> String {
+        let output = self.command(program).args(arguments).output().unwrap();
+        assert!(output.status.success(), "{program} {arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    /// The node, without waiting for anything.
+    pub fn spawn_node(&self, arguments: &[&str]) -> Process {
+        self.spawn(NODE, arguments)
+    }
+
+    /// The node, ready.
+    pub fn node(&self, arguments: &[&str]) -> Process {
+        let node = self.spawn_node(arguments);
+        node.expect_log("matches ");
+        node
+    }
+
+    /// Starts to record `topics`; [`Self::finish_recording`] ends it.
+    pub fn record(&self, topics: &[&str]) -> Process {
+        let mut arguments = vec!["record", "-O", "recorded.bag"];
+        arguments.extend(topics);
+        let recorder = self.spawn("rosbag", &arguments);
+        assert!(eventually(|| self.master_state().matches("/record_").count() >= topics.len()), "{}", recorder.log());
+        recorder
+    }
+
+    /// Who publishes, subscribes and serves what: the master's own answer, in XML.
+    pub fn master_state(&self) -> String {
+        let body = "<?xml version='1.0'?><methodCall><methodName>getSystemState</methodName><params><param><value>\
+                    <string>/test</string></value></param></params></methodCall>";
+        let mut stream = TcpStream::connect(("localhost", self.port)).unwrap();
+        write!(stream, "POST /RPC2 HTTP/1.0\r\nContent-Type: text/xml\r\nContent-Length: {}\r\n\r\n{body}", body.len()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer
+    }
+
+    /// The bag with what has been recorded.
+    pub fn finish_recording(&self, mut recorder: Process) -> PathBuf {
+        std::thread::sleep(Duration::from_millis(500)); // what is still on its way
+        let bag = self.dir.path().join("recorded.bag");
+        recorder.signal_group("INT"); // `rosbag record` is a script around the recorder
+        assert!(recorder.exit_code(PATIENCE).is_some() && eventually(|| bag.exists()), "{}", recorder.log());
+        bag
+    }
+
+    /// Plays a bag to its end; it waits a little first, so that everybody has connected.
+    pub fn play(&self, bag: &Path, arguments: &[&str]) {
+        let mut player = self.start_playing(bag, arguments);
+        assert_eq!(player.exit_code(6 * PATIENCE), Some(0), "{}", player.log());
+    }
+
+    pub fn start_playing(&self, bag: &Path, arguments: &[&str]) -> Process {
+        let mut all = vec!["play", "--quiet", "--delay", "1.5", bag.to_str().unwrap()];
+        all.extend(arguments);
+        self.spawn("rosbag", &all)
+    }
+
+    /// Calls a `std_srvs/Trigger`: its Python types need not be installed, so this speaks TCPROS by itself.
+    pub fn trigger(&self, service: &str) -> String {
+        let uri = self.output("rosservice", &["uri", service]);
+        let mut stream = TcpStream::connect(uri.trim().strip_prefix("rosrpc://").unwrap()).unwrap();
+        let field = |text: String| [u32::try_from(text.len()).unwrap().to_le_bytes().to_vec(), text.into_bytes()].concat();
+        let header = [
+            field(format!("service={service}")),
+            field("callerid=/test".into()),
+            field("md5sum=937c9679a518e3a18d831e57125ea522".into()),
+            field("type=std_srvs/Trigger".into()),
+        ]
+        .concat();
+        stream.write_all(&u32::try_from(header.len()).unwrap().to_le_bytes()).unwrap();
+        stream.write_all(&header).unwrap();
+        stream.write_all(&0_u32.to_le_bytes()).unwrap();
+        let block = |stream: &mut TcpStream| {
+            let mut length = [0; 4];
+            stream.read_exact(&mut length).unwrap();
+            let mut bytes = vec![0; u32::from_le_bytes(length) as usize];
+            stream.read_exact(&mut bytes).unwrap();
+            bytes
+        };
+        block(&mut stream);
+        let mut ok = [0];
+        stream.read_exact(&mut ok).unwrap();
+        let answer = block(&mut stream);
+        assert_eq!((ok[0], answer[0]), (1, 1), "the service failed");
+        String::from_utf8(answer[5..].to_vec()).unwrap()
+    }
+}
+
+/// A process in a group of its own, which ends with it.
+pub struct Process {
+    child: Child,
+    log: PathBuf,
+}
+
+impl Process {
+    pub fn spawn(mut command: Command, dir: &Path) -> Self {
+        let log = tempfile::Builder::new().suffix(".log").tempfile_in(dir).unwrap().keep().unwrap().1;
+        let file = File::create(&log).unwrap();
+        command.process_group(0).stdin(Stdio::null()).stdout(file.try_clone().unwrap()).stderr(file);
+        Self { child: command.spawn().unwrap(), log }
+    }
+
+    /// What it has printed so far.
+    pub fn log(&self) -> String {
+        String::from_utf8_lossy(&fs::read(&self.log).unwrap()).into_owned()
+    }
+
+    pub fn expect_log(&self, text: &str) {
+        assert!(eventually(|| self.log().contains(text)), "'{text}' is not said in: {}", self.log());
+    }
+
+    pub fn signal(&self, name: &str) {
+        send(name, &self.child.id().to_string());
+    }
+
+    pub fn signal_group(&self, name: &str) {
+        send(name, &format!("-{}", self.child.id()));
+    }
+
+    pub fn is_running(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
+    /// Its exit code, once it has ended by itself.
+    pub fn exit_code(&mut self, patience: Duration) -> Option<i32> {
+        let mut status = None;
+        within(patience, || {
+            status = self.child.try_wait().unwrap();
+            status.is_some()
+        });
+        status.and_then(|status| status.code())
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if self.is_running() {
+            self.signal_group("KILL");
+            let _ = self.child.wait();
+        }
+    }
+}
+
+fn send(signal: &str, to: &str) {
+    let _ = Command::new("kill").args(["-s", signal, "--", to]).stderr(Stdio::null()).status();
+}
