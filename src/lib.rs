@@ -1,4 +1,48 @@
-//! Anytime 2D laser scan matching for ROS 1.
+//! Anytime 2D laser scan matching for ROS 1: a pose within the time you allow, and how good it is.
+//!
+//! # How a scan becomes a pose
+//!
+//! ```text
+//!  LaserScan ──► Scan ──► prediction ──► correspondences ──► rejection ──► solve ──► pose ──► Estimate ──► messages, files
+//!  (messages)   (scan)   (odometry::    (matching::         (matching::   (matching::          (app)       (ros, replay)
+//!                         wheel)         correspondence)     rejection)    solver)
+//!                                       └────────── Refinement::refine, until the contract ends (anytime::drive) ─────────┘
+//! ```
+//!
+//! The node ([`ros`], behind the feature of that name) and the offline tool ([`replay`]) feed the same [`app::App`]: a replay is what
+//! ran live.
+//!
+//! # Where things are
+//!
+//! From the bottom up; a module knows only modules below its own (`tests/layers.rs` holds this against the imports).
+//!
+//! | module | what it is |
+//! |---|---|
+//! | [`time`], [`geometry`] | stamps to the nanosecond; poses of the plane, named `odom_from_base` |
+//! | [`knobs`] | parameters, each declared once |
+//! | [`messages`] | ROS messages and their wire form, with or without ROS |
+//! | [`scan`], [`transforms`] | a checked scan; where `/tf` says the laser is |
+//! | [`matching`] | PL-ICP and its relatives: `begin()`, `refine()`, best so far |
+//! | [`simulation`] | worlds, a lidar, a car, its odometry |
+//! | [`evaluation`] | ATE, RPE, relations, plots |
+//! | [`anytime`] | contracts, clocks, and refining until the contract ends |
+//! | [`odometry`] | predict, match, keep the keyframe: one scan to one pose |
+//! | [`io`] | bags, trajectories, relations, maps |
+//! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |
+//! | [`app`] | messages in, estimates out |
+//! | [`replay`], `ros` | a bag, or a live graph, through the application |
+//!
+//! # What always holds
+//!
+//! - [`matching`] never reads a clock, prints or panics, and its warm loop never allocates (`tests/no_allocation.rs`).
+//! - Every scan gets exactly one answer. One that cannot be matched, or read, is answered with the prediction, and says why.
+//! - Stamps are those of the scans. Nothing a message says depends on the time it is handled at, except what measures that time.
+//! - With no time budget, or on the virtual clock, the same input gives the same output, to the last bit.
+//! - Bytes from outside are checked before they are used: a bad message, file or parameter is an error that names its place and its
+//!   remedy, never a panic.
+//! - Only [`ros`](self) knows rosrust; only the programs read arguments.
+
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::panic, clippy::cast_possible_truncation))]
 
 pub mod anytime;
 pub mod app;

@@ -105,7 +105,7 @@ fn the_closed_form_finds_the_optimum_of_every_shared_problem() {
 fn random_problem(rng: &mut Pcg64, id: u32) -> Problem {
     let lines = if rng.random::<f64>() < 0.3 { 3 + (id % 4) as usize } else { 7 + (id % 60) as usize };
     let truth = Pose2::new(common::uniform(rng, -2.0, 2.0), common::uniform(rng, -2.0, 2.0), common::uniform(rng, -PI, PI));
-    let spread = if id % 5 == 0 { 0.05 } else { PI };
+    let spread = if id.is_multiple_of(5) { 0.05 } else { PI };
     let noise = [0.0, 0.01, 0.3][(id % 3) as usize];
     let terms = (0..lines)
         .map(|_| {

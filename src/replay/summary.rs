@@ -1,7 +1,7 @@
 //! What a replay came to, for people and for machines.
 
 use std::collections::BTreeMap;
-use std::fmt;
+use std::fmt::Write as _;
 use std::time::Duration;
 
 use comfy_table::{Table, presets};
@@ -39,6 +39,35 @@ pub struct Ending {
     pub report: Option<Report>,
     /// Damage of the bag, in words.
     pub bag_problems: Vec<String>,
+}
+
+impl Ending {
+    /// What the user should know, each with its remedy where there is one.
+    fn problems(&self) -> Vec<String> {
+        let mut problems = self.bag_problems.clone();
+        problems.extend(self.log.problems.iter().cloned());
+        if self.mount_source == MountSource::Assumed {
+            problems.push(
+                "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)"
+                    .into(),
+            );
+        }
+        if self.counters.without_odometry > 0 {
+            problems.push(format!(
+                "{} scans predicted at constant velocity: no odometry covers them",
+                self.counters.without_odometry
+            ));
+        }
+        let counted = [
+            (self.counters.duplicate_scans, "scans with the stamp of the one before"),
+            (self.counters.out_of_order_scans, "scans out of order"),
+            (self.counters.time_jumps, "jumps back in time (each started a new run)"),
+            (self.counters.duplicate_odometry, "odometry messages with the stamp of the one before"),
+            (self.counters.odometry_resets, "jumps of the odometry"),
+        ];
+        problems.extend(counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")));
+        problems
+    }
 }
 
 impl Summary {
@@ -108,43 +137,12 @@ impl Summary {
             "rpe_1m_rmse_m": truth["rpe_1m_rmse_m"],
             "rpe_1m_rmse_deg": truth["rpe_1m_rmse_deg"],
             "unusable_messages": ending.log.unusable_messages,
-            "problems": self.problems(ending),
+            "problems": ending.problems(),
         })
     }
 
-    /// What the user should know, each with its remedy where there is one.
-    fn problems(&self, ending: &Ending) -> Vec<String> {
-        let mut problems = ending.bag_problems.clone();
-        problems.extend(ending.log.problems.iter().cloned());
-        if ending.mount_source == MountSource::Assumed {
-            problems.push(
-                "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)"
-                    .into(),
-            );
-        }
-        if ending.counters.without_odometry > 0 {
-            problems.push(format!(
-                "{} scans predicted at constant velocity: no odometry covers them",
-                ending.counters.without_odometry
-            ));
-        }
-        let counted = [
-            (ending.counters.duplicate_scans, "scans with the stamp of the one before"),
-            (ending.counters.out_of_order_scans, "scans out of order"),
-            (ending.counters.time_jumps, "jumps back in time (each started a new run)"),
-            (ending.counters.duplicate_odometry, "odometry messages with the stamp of the one before"),
-            (ending.counters.odometry_resets, "jumps of the odometry"),
-        ];
-        problems.extend(counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")));
-        problems
-    }
-
     /// A table for people.
-    pub fn to_text<'a>(&'a self, ending: &'a Ending) -> impl fmt::Display + 'a {
-        fmt::from_fn(move |f| self.write_text(ending, f))
-    }
-
-    fn write_text(&self, ending: &Ending, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    pub fn to_text(&self, ending: &Ending) -> String {
         let [p50, p99, max] = self.times();
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
@@ -163,13 +161,13 @@ impl Summary {
             let text = format!("{} of budget {:.0} us, worst overrun {overrun:.0} us", self.misses, microseconds(budget));
             table.add_row(["deadline misses", &text]);
         }
-        writeln!(f, "{table}")?;
+        let mut text = format!("{table}\n");
         if let Some(report) = &ending.report {
-            writeln!(f, "\n{report}")?;
+            let _ = writeln!(text, "\n{report}");
         }
-        for problem in self.problems(ending) {
-            writeln!(f, "note: {problem}")?;
+        for problem in ending.problems() {
+            let _ = writeln!(text, "note: {problem}");
         }
-        Ok(())
+        text
     }
 }

@@ -51,6 +51,12 @@ struct State {
     closed: bool,
 }
 
+impl State {
+    fn is_idle(&mut self) -> bool {
+        !self.closed && self.work.scan.is_none() && self.work.events.is_empty()
+    }
+}
+
 /// What was lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Dropped {
@@ -85,9 +91,16 @@ impl Mailbox {
 
     /// Waits for work. `None` once the mailbox is closed.
     pub(super) fn take(&self) -> Option<Work> {
-        let idle = |state: &mut State| !state.closed && state.work.scan.is_none() && state.work.events.is_empty();
-        let mut state = self.filled.wait_while(self.lock(), idle).unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.filled.wait_while(self.lock(), State::is_idle).unwrap_or_else(PoisonError::into_inner);
         (!state.closed).then(|| mem::take(&mut state.work))
+    }
+
+    /// Waits for events while a scan is held back: at most `timeout`, and no longer once a newer scan is here. `None`: none came.
+    pub(super) fn take_events(&self, timeout: Duration) -> Option<VecDeque<Event>> {
+        let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle);
+        let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        let events = mem::take(&mut state.work.events);
+        (!events.is_empty()).then_some(events)
     }
 
     pub(super) fn dropped(&self) -> Dropped {
@@ -136,6 +149,16 @@ mod tests {
         let work = mailbox.take().unwrap();
         assert_eq!((work.events.len(), work.events.front()), (CAPACITY, Some(&Event::Message(Input::Odometry, letter(2)))));
         assert_eq!(mailbox.dropped(), Dropped { scans: 0, events: 2 });
+    }
+
+    #[test]
+    fn a_held_scan_waits_for_events_but_not_for_ever() {
+        let mailbox = Mailbox::default();
+        assert_eq!(mailbox.take_events(Duration::from_millis(1)), None);
+        mailbox.put_event(Event::Reset);
+        assert_eq!(mailbox.take_events(Duration::from_secs(60)), Some(VecDeque::from([Event::Reset])));
+        mailbox.put_scan(letter(1));
+        assert_eq!(mailbox.take_events(Duration::from_secs(60)), None, "a newer scan ends the wait");
     }
 
     #[test]

@@ -17,6 +17,7 @@ use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::messages::{Message, decode};
 use crate::odometry::Outcome;
+use crate::time::Stamp;
 use crate::transforms::frame_name;
 
 /// Transforms may come a little later than the first scans do.
@@ -64,9 +65,21 @@ impl Matcher {
                 self.handle(event);
             }
             if let Some(letter) = scan
-                && let Some(scan) = self.read(Input::Scan, &letter)
+                && let Some(scan) = self.read::<LaserScan>(Input::Scan, &letter)
             {
+                self.await_odometry(scan.header.stamp.into(), letter.arrival);
                 self.answer(&scan, letter.arrival);
+            }
+        }
+    }
+
+    /// Holds a scan back while the application wants to see more odometry first.
+    fn await_odometry(&mut self, stamp: Stamp, arrival: Duration) {
+        while let Some(longest) = self.app.wait_for_odometry(stamp) {
+            let left = (arrival + longest).saturating_sub(self.clock.now());
+            let Some(events) = self.mailbox.take_events(left) else { return };
+            for event in events {
+                self.handle(event);
             }
         }
     }

@@ -52,7 +52,7 @@ fn link(rays: &[Ray], indices: impl Iterator<Item = usize>, beats: impl Fn(f64, 
 
 impl Jumps {
     /// `indices`: the rays from the far end of the direction to its near end.
-    fn build(&mut self, rays: &[Ray], indices: impl DoubleEndedIterator<Item = usize> + Clone, wraps: bool) {
+    fn build(&mut self, rays: &[Ray], indices: &(impl Iterator<Item = usize> + Clone), wraps: bool) {
         for table in [&mut self.adjacent, &mut self.longer, &mut self.shorter] {
             table.clear();
             table.resize(rays.len(), NO_RAY);
@@ -122,8 +122,8 @@ impl CorrespondenceSearch for JumpTable {
     fn prepare(&mut self, reference: &Reference) {
         let wraps = reference.gap() < std::f64::consts::PI;
         let n = reference.len();
-        self.up.build(reference.rays(), (0..n).rev(), wraps);
-        self.down.build(reference.rays(), 0..n, wraps);
+        self.up.build(reference.rays(), &(0..n).rev(), wraps);
+        self.down.build(reference.rays(), &(0..n), wraps);
     }
 
     fn find(&self, reference: &Reference, points: &[Point], max_distance: f64, nearest: &mut [Nearest]) {
