@@ -2,6 +2,7 @@
 
 pub mod csv_file;
 pub mod map_sketch;
+pub mod recorder;
 pub mod summary;
 pub mod truth;
 

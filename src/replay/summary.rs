@@ -71,10 +71,11 @@ impl Ending {
 }
 
 impl Summary {
-    /// Takes an estimate.
-    pub fn add(&mut self, estimate: &Estimate) {
+    /// Takes an estimate; answers its pose.
+    pub fn add(&mut self, estimate: &Estimate) -> StampedPose {
         let registration = &estimate.registration;
-        self.poses.push(StampedPose { stamp: estimate.stamp, pose: registration.odom_from_base });
+        let pose = StampedPose { stamp: estimate.stamp, pose: registration.odom_from_base };
+        self.poses.push(pose);
         self.elapsed.push(estimate.elapsed);
         self.iterations += registration.refinement.map_or(0, |r| u64::from(r.iterations));
         self.matched += usize::from(registration.outcome.is_ok());
@@ -90,6 +91,7 @@ impl Summary {
             let overrun = estimate.elapsed.saturating_sub(estimate.contract.time_budget.unwrap_or_default());
             self.worst_overrun = self.worst_overrun.max(overrun);
         }
+        pose
     }
 
     /// The trajectory of the base.

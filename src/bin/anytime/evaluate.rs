@@ -43,7 +43,7 @@ fn positive(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0).ok_or_else(|| "expected a number above 0".into())
 }
 
-pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { trajectory, reference, json, plot, rpe_distance, max_dt } = arguments;
     let estimate = tum::read(trajectory)?;
     let truth = reference.truth.as_deref().map(tum::read).transpose()?;
@@ -53,6 +53,5 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = plot {
         trajectory_plot(path, &estimate, truth.as_ref(), None, *max_dt)?;
     }
-    println!("{}", if *json { report.to_json().to_string() } else { report.to_string() });
-    Ok(())
+    Ok(if *json { report.to_json().to_string() } else { report.to_string() })
 }

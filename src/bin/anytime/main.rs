@@ -1,14 +1,17 @@
 //! The offline tool: needs no ROS at all.
-#![allow(clippy::print_stdout, clippy::print_stderr)] // a program speaks to its user
+#![allow(clippy::print_stderr)] // a program speaks to its user
 
 mod configuration;
 mod evaluate;
 mod info;
 mod knob_flags;
+mod progress;
 mod replay;
+mod replay_flags;
 mod simulate;
 mod simulation_flags;
 
+use std::io::{self, ErrorKind, Write};
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -23,7 +26,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    Replay(replay::Arguments),
+    Replay(replay_flags::Arguments),
     Info(info::Arguments),
     Simulate(simulate::Arguments),
     Evaluate(evaluate::Arguments),
@@ -37,10 +40,21 @@ fn main() -> ExitCode {
         Command::Evaluate(arguments) => evaluate::run(&arguments),
     };
     match outcome {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(text) => print(&text),
         Err(error) => {
             eprintln!("anytime: {error:#}");
             ExitCode::FAILURE
         }
+    }
+}
+
+/// A reader that has seen enough (`anytime info X.bag | head`) is no failure.
+fn print(text: &str) -> ExitCode {
+    match writeln!(io::stdout().lock(), "{}", text.trim_end()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            eprintln!("anytime: cannot write the result: {error}");
+            ExitCode::FAILURE
+        }
+        _ => ExitCode::SUCCESS,
     }
 }

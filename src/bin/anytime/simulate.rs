@@ -34,7 +34,7 @@ pub(crate) struct Arguments {
     flags: SimulationFlags,
 }
 
-pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let settings = arguments.flags.settings()?;
     let scene = scene(&arguments.world, settings.drive.seed)?;
     let truth: Box<dyn Write> = match &arguments.truth {
@@ -43,8 +43,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let bag = BagWriter::create(&arguments.out, arguments.compression)?;
     let scans = simulated_bag::record(&settings, &scene, bag, TumWriter::new(truth))?;
-    println!("{}: {scans} scans", arguments.out.display());
-    Ok(())
+    Ok(format!("{}: {scans} scans", arguments.out.display()))
 }
 
 fn scene(world: &str, seed: u32) -> anyhow::Result<Scene> {

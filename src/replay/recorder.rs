@@ -1,0 +1,95 @@
+//! What is kept of a replay: the summary in memory, and files for whoever asks for them.
+
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::csv_file::CsvFile;
+use super::map_sketch::MapSketch;
+use super::summary::Summary;
+use crate::app::{App, Estimate};
+use crate::geometry::Point;
+use crate::io::bag::BagError;
+use crate::io::tum::TumWriter;
+use crate::messages::sensor_msgs::LaserScan;
+
+/// Why a replay ended before its time.
+#[derive(Debug, Error)]
+pub enum RecordError {
+    /// The bag cannot be read.
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    /// A file cannot be written.
+    #[error("cannot write {path}: {error}")]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        error: io::Error,
+    },
+}
+
+/// The files to write.
+#[derive(Clone, Debug, Default)]
+pub struct OutputFiles {
+    /// The pose of every scan.
+    pub tum: Option<PathBuf>,
+    /// A line of figures for every scan.
+    pub csv: Option<PathBuf>,
+}
+
+/// Takes every answer of a replay. What it has taken is in the files, should the program be killed.
+pub struct Recorder {
+    files: OutputFiles,
+    tum: Option<TumWriter<File>>,
+    csv: Option<CsvFile<File>>,
+    sketch: Option<MapSketch>,
+    summary: Summary,
+}
+
+impl Recorder {
+    /// Opens the files; with `sketch`, points of the scans are collected for a plot.
+    pub fn create(files: OutputFiles, sketch: bool) -> Result<Self, RecordError> {
+        let tum = files.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
+        let csv = match files.csv.as_deref() {
+            Some(path) => Some(CsvFile::new(create(path)?).map_err(|error| failed(path, error.into()))?),
+            None => None,
+        };
+        Ok(Self { files, tum, csv, sketch: sketch.then(MapSketch::default), summary: Summary::default() })
+    }
+
+    /// Takes the answer to a scan.
+    pub fn add(&mut self, scan: &LaserScan, estimate: &Estimate, app: &App) -> Result<(), RecordError> {
+        let pose = self.summary.add(estimate);
+        if let (Some(tum), Some(path)) = (&mut self.tum, &self.files.tum) {
+            tum.write(&pose).map_err(|error| failed(path, error))?;
+        }
+        if let (Some(csv), Some(path)) = (&mut self.csv, &self.files.csv) {
+            csv.write(estimate).map_err(|error| failed(path, error.into()))?;
+        }
+        if let Some(sketch) = &mut self.sketch {
+            sketch.add(scan, estimate, app);
+        }
+        Ok(())
+    }
+
+    /// The summary so far.
+    pub fn summary(&self) -> &Summary {
+        &self.summary
+    }
+
+    /// Points of the scans, m, in the odom frame.
+    pub fn points(&self) -> Option<&[Point]> {
+        self.sketch.as_ref().map(MapSketch::points)
+    }
+}
+
+fn create(path: &Path) -> Result<File, RecordError> {
+    File::create(path).map_err(|error| failed(path, error))
+}
+
+fn failed(path: &Path, error: io::Error) -> RecordError {
+    RecordError::Write { path: path.into(), error }
+}
