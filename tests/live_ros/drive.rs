@@ -149,6 +149,18 @@ impl Recording {
         self.reports.len() + self.reports.last().map_or(0, |report| report.dropped as usize)
     }
 
+    /// Checks that every scan from the first to the last answer is answered or counted as dropped; what went over the wire before and
+    /// after, while links came and went, nobody can tell. A drive has `scans`.
+    pub fn check_accounts(&self, scans: usize) {
+        let stamps: Vec<f64> = self.timed_reports().map(|(seconds, _)| seconds).collect();
+        let (Some(first), Some(last)) = (stamps.first(), stamps.last()) else { panic!("no answers") };
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a number of scans
+        let between = ((last - first) / PERIOD).round() as usize + 1;
+        let accounted = self.accounted_for();
+        assert!((between..=scans).contains(&accounted), "{accounted} of {between}, from {first} s to {last} s");
+        assert!(between * 10 >= scans * 9, "only {between} of {scans}");
+    }
+
     /// Checks that every answer made one report, one pose and one edge.
     pub fn check_consistency(&self) {
         assert_eq!(self.states.len(), self.reports.len());
