@@ -9,7 +9,7 @@
 //!                                       └────────── Refinement::refine, until the contract ends (anytime::drive) ─────────┘
 //! ```
 //!
-//! The node ([`ros`], behind the feature of that name) and the offline tool ([`replay`]) feed the same [`app::App`]: a replay is what
+//! The node (`ros`, behind the feature of that name) and the offline tool ([`replay`]) feed the same [`app::App`]: a replay is what
 //! ran live.
 //!
 //! # Where things are
@@ -19,7 +19,7 @@
 //! | module | what it is |
 //! |---|---|
 //! | [`time`], [`geometry`] | stamps to the nanosecond; poses of the plane, named `odom_from_base` |
-//! | [`knobs`] | parameters, each declared once |
+//! | [`knobs`](mod@knobs) | parameters, each declared once |
 //! | [`messages`] | ROS messages and their wire form, with or without ROS |
 //! | [`scan`], [`transforms`] | a checked scan; where `/tf` says the laser is |
 //! | [`matching`] | PL-ICP and its relatives: `begin()`, `refine()`, best so far |
@@ -40,7 +40,7 @@
 //! - With no time budget, or on the virtual clock, the same input gives the same output, to the last bit.
 //! - Bytes from outside are checked before they are used: a bad message, file or parameter is an error that names its place and its
 //!   remedy, never a panic.
-//! - Only [`ros`](self) knows rosrust; only the programs read arguments.
+//! - Only `ros` knows rosrust; only the programs read arguments.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::panic, clippy::cast_possible_truncation))]
 

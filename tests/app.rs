@@ -1,5 +1,5 @@
 //! The application against everything a robot may send it.
-#![allow(clippy::unwrap_used, clippy::cast_possible_truncation)]
+#![allow(clippy::unwrap_used, clippy::panic, clippy::cast_possible_truncation)]
 
 mod common;
 
@@ -286,13 +286,15 @@ fn an_initial_pose_and_a_reset_start_again() {
     assert_eq!(estimate.registration.odom_from_base, Pose2::IDENTITY);
 }
 
+/// Makes a good scan a bad one.
+type Spoil = fn(&mut LaserScan);
+
 #[test]
 fn malformed_scans_are_said_to_be_and_answered() {
     let mut app = app(&[]);
     for i in 0..3 {
         answer(&mut app, &scan_at(f64::from(i) * 0.1, way(f64::from(i) * 0.1)));
     }
-    type Spoil = fn(&mut LaserScan);
     let spoils: [(&str, Spoil); 11] = [
         ("angle_increment is 0", |s| s.angle_increment = 0.0),
         ("angle_min is NaN", |s| s.angle_min = f32::NAN),

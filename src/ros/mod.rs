@@ -5,7 +5,7 @@
 //!  subscriptions --> mailbox --> matcher --> publishers     node: signals, diagnostics at 1 Hz, the master
 //! ```
 //!
-//! Invariants: callbacks only note the arrival and fill the [`mailbox`], so that nothing that is slow ever delays reception; a scan is
+//! Invariants: callbacks only note the arrival and fill the `mailbox`, so that nothing that is slow ever delays reception; a scan is
 //! either answered or counted as dropped; messages leave with the stamp of the scan they are about; nothing waits on ROS time, which
 //! may stand still.
 

@@ -319,7 +319,7 @@ fn catkin_builds_what_rostopic_needs_to_show_our_messages() {
         .env("ROS_LANG_DISABLE", "gencpp:geneus:genlisp:gennodejs")
         .args(["-DPYTHON_EXECUTABLE=/usr/bin/python3", "-DCATKIN_ENABLE_TESTING=OFF"]);
     let mut make = Process::spawn(make, graph.dir.path());
-    assert_eq!(make.exit_code(Duration::from_secs(300)), Some(0), "{}", make.log());
+    assert_eq!(make.exit_code(Duration::from_secs(900)), Some(0), "{}", make.log());
     let program = graph.dir.path().join("devel/lib/anytime_scan_matcher/scan_matcher");
     assert!(program.is_file(), "{}", make.log());
 

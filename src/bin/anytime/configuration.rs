@@ -10,7 +10,7 @@ pub(crate) struct Configuration {
     /// Parameters from a YAML file, the same as the node's
     #[arg(long, value_name = "FILE.yaml")]
     config: Option<PathBuf>,
-    /// Set one parameter, such as matching.max_iterations=8; may be given many times
+    /// Set one parameter, such as `matching.max_iterations=8`; may be given many times
     #[arg(long, value_name = "NAME=VALUE")]
     set: Vec<String>,
 }

@@ -25,7 +25,7 @@ pub(crate) struct Arguments {
     /// True poses to compare with: a TUM file, or a topic of the bag
     #[arg(long, value_name = "FILE|TOPIC")]
     pub(crate) truth: Option<String>,
-    /// Time that a scan's answer may take, such as 5ms [default: contract.time_budget]
+    /// Time that a scan's answer may take, such as 5ms [default: `contract.time_budget`]
     #[arg(long, value_parser = humantime::parse_duration)]
     pub(crate) time_budget: Option<Duration>,
     /// The clock of the contract; with `virtual` all files of two runs are equal to the byte

@@ -1,7 +1,7 @@
 //! Which reference ray is nearest to each sensed point.
 //!
 //! To add a search: a file with a type that implements [`CorrespondenceSearch`], a variant in [`Correspondence`] and a line in
-//! [`Correspondence::search`]. The tests compare every search listed there with the brute force of [`naive`].
+//! [`Correspondence::search`]. The tests compare every search listed there with the brute force, `naive`.
 
 mod jump_table;
 mod kd_tree;
