@@ -140,9 +140,12 @@ fn the_answer_belongs_to_the_largest_root_of_the_quartic() {
     let mut rng = Pcg64::seed_from_u64(2);
     let solver = SolverKind::PointToLine.solver();
     let mut negative = 0;
-    // Without noise the root is double, which the expanded polynomial cannot resolve.
+    // Where a pose fits every line, for want of noise or of lines, the root is double: the expanded polynomial cannot resolve that.
     for id in (0..1500).filter(|id| id % 3 != 0) {
         let problem = random_problem(&mut rng, id);
+        if problem.terms.len() < 7 {
+            continue;
+        }
         let (mut m, mut g) = (Matrix4::zeros(), Vector4::zeros());
         for (p, q, c) in &problem.terms {
             let mi = nalgebra::Matrix2x4::new(1.0, 0.0, p.x, -p.y, 0.0, 1.0, p.y, p.x);
@@ -181,7 +184,7 @@ fn the_answer_belongs_to_the_largest_root_of_the_quartic() {
         assert!(quartic.abs() < 1e-7 * scale.powi(4), "problem {id}: {quartic} is no zero");
         negative += u32::from(multiplier < 0.0);
     }
-    assert!(negative > 100, "the roots must not be clamped to the positive ones: {negative} of 1000 are negative");
+    assert!(negative > 50, "the roots must not be clamped to the positive ones: only {negative} are negative");
 }
 
 #[test]
