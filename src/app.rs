@@ -10,6 +10,7 @@ use crate::anytime::clock::Clock;
 use crate::anytime::contract::{Contract, ContractError};
 use crate::config::Config;
 use crate::geometry::{Pose2, Twist2};
+use crate::matching::IterationTrace;
 use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own;
@@ -200,6 +201,11 @@ impl App {
     /// The matched points of the last answer, where it was a match and they were to be kept.
     pub fn matched_points(&self) -> Option<&MatchedPoints> {
         self.odometry.matched_points()
+    }
+
+    /// What each iteration of the last answer's match did; empty where there was no match.
+    pub fn iterations(&self) -> &[IterationTrace] {
+        self.odometry.iterations()
     }
 
     /// Place of the laser on the base, and where that is known from.

@@ -11,7 +11,7 @@ use crate::anytime::{ErrorEstimate, Task, drive};
 use crate::geometry::{Point, Pose2, PoseCovariance, Twist2};
 use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
-use crate::matching::{Matcher, MatchingKnobs, Refinement, StopReason};
+use crate::matching::{IterationTrace, Matcher, MatchingKnobs, Refinement, StopReason};
 use crate::scan::Scan;
 use crate::time::Stamp;
 use wheel::{WheelEvent, WheelOdometry, WheelSample};
@@ -173,6 +173,7 @@ pub struct LaserOdometry {
     counters: OdometryCounters,
     keep_matched_points: bool,
     matched_points: Option<MatchedPoints>,
+    iterations: Vec<IterationTrace>,
 }
 
 impl LaserOdometry {
@@ -190,6 +191,7 @@ impl LaserOdometry {
             counters: OdometryCounters::default(),
             keep_matched_points: false,
             matched_points: None,
+            iterations: Vec::new(),
         }
     }
 
@@ -206,6 +208,11 @@ impl LaserOdometry {
     /// The matched points of the last answer, where it was a match and they were to be kept.
     pub fn matched_points(&self) -> Option<&MatchedPoints> {
         self.matched_points.as_ref()
+    }
+
+    /// What each iteration of the last answer's match did; empty where there was no match.
+    pub fn iterations(&self) -> &[IterationTrace] {
+        &self.iterations
     }
 
     /// Starts again: the next scan is the first one, at `odom_from_base`.
@@ -246,6 +253,7 @@ impl LaserOdometry {
     pub fn register(&mut self, scan: &Scan, base_from_laser: &Pose2, task: &Task, clock: &dyn Clock) -> Registration {
         self.maintain();
         self.matched_points = None;
+        self.iterations.clear();
         if let Some(answer) = self.answer_by_stamp(scan.stamp()) {
             return answer;
         }
@@ -258,6 +266,7 @@ impl LaserOdometry {
         let first_guess = keyframe.odom_from_laser.between(&odom_from_laser);
         let mut refinement = self.matcher.begin(scan, first_guess);
         let stop_reason = drive(&mut refinement, task, clock);
+        self.iterations.extend_from_slice(refinement.trace());
         let report = report(&refinement, stop_reason);
         let keyframe_from_laser = refinement.pose();
         let problem = problem(stop_reason, &report, &first_guess.between(&keyframe_from_laser), &self.knobs);
@@ -380,6 +389,7 @@ impl LaserOdometry {
     pub fn answer_unusable(&mut self, stamp: Stamp, problem: String) -> Registration {
         self.maintain();
         self.matched_points = None;
+        self.iterations.clear();
         if let Some(answer) = self.answer_by_stamp(stamp) {
             return answer;
         }

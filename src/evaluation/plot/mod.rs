@@ -1,20 +1,26 @@
-//! Trajectories as SVG pictures, fit for a README.
+//! Trajectories and curves as SVG pictures, fit for a README.
 
+mod axis;
+mod curves;
 mod error_panels;
 mod legend;
 mod style;
 mod top_view;
 
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use plotters::prelude::*;
 use thiserror::Error;
 
-use super::association::{AssociationError, MatchedPose, associate};
-use super::ate::{Ate, ate};
+use super::association::{AssociationError, associate};
+use super::ate::ate;
 use super::trajectory::Trajectory;
 use crate::geometry::{Point, Pose2};
+pub use axis::Scale;
+pub use curves::{Panel, Series, curves};
+pub use style::{Colour, Dash, Look, Mark};
+pub use top_view::Path;
 use top_view::TopView;
 
 /// Why a picture was not made.
@@ -47,7 +53,7 @@ type Canvas<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 /// With truth the estimate is aligned to it (the scan points with it), and two panels show the errors over time; `max_dt` is the
 /// tolerance of the association in seconds.
 pub fn trajectory_plot(
-    path: &Path,
+    path: &std::path::Path,
     estimate: &Trajectory,
     truth: Option<&Trajectory>,
     scan_points: Option<&[Point]>,
@@ -55,37 +61,63 @@ pub fn trajectory_plot(
 ) -> Result<(), PlotError> {
     let matched = truth.map(|truth| associate(estimate, truth, max_dt)).transpose()?.unwrap_or_default();
     let ate = ate(&matched);
-    let frame = ate.map_or(Pose2::IDENTITY, |ate| ate.truth_from_estimate).transform();
-    let positions = |trajectory: &Trajectory| trajectory.poses().iter().map(|p| p.pose.translation()).collect::<Vec<_>>();
-    let view = TopView {
-        estimate: positions(estimate).into_iter().map(|p| frame.apply(p)).collect(),
-        truth: truth.map(positions).unwrap_or_default(),
-        scan_points: scan_points.unwrap_or_default().iter().map(|p| frame.apply(*p)).collect(),
-    };
-    // The backend panics on axes without end.
-    if !view.window().is_finite() || ate.is_some_and(|ate| !ate.errors.trans_m.rmse.is_finite()) {
-        return Err(PlotError::TooLarge);
-    }
-    let svg = draw(&view, ate.as_ref(), &matched).map_err(PlotError::Draw)?;
-    std::fs::write(path, svg).map_err(|source| PlotError::Write { path: path.into(), source })
+    let frame = ate.map_or(Pose2::IDENTITY, |ate| ate.truth_from_estimate);
+    let name = ate.map_or("estimate".into(), |ate| format!("estimate (ATE {:.3} m rmse)", ate.errors.trans_m.rmse));
+    let mut paths: Vec<_> = truth.map(true_path).into_iter().collect();
+    paths.push(Path { name, look: Look::line(Colour::Blue, style::ESTIMATE_WIDTH), points: positions(estimate, &frame) });
+    let transform = frame.transform();
+    let scan_points = scan_points.unwrap_or_default().iter().map(|p| transform.apply(*p)).collect();
+    let panels = ate.map(|ate| error_panels::panels(&ate, &matched));
+    let svg = top_view_with(paths, scan_points, panels.as_ref().map_or(&[], |panels| panels))?;
+    write(path, &svg)
 }
 
-/// Legend, top view and error panels, one above the other.
-fn draw(view: &TopView, ate: Option<&Ate>, matched: &[MatchedPose]) -> Result<String, DrawError> {
+/// The truth as a path to be drawn first: wide, so that it is seen where an estimate covers it.
+pub fn true_path(truth: &Trajectory) -> Path {
+    let look = Look::line(Colour::Orange, style::TRUTH_WIDTH);
+    Path { name: "truth".into(), look, points: positions(truth, &Pose2::IDENTITY) }
+}
+
+/// The positions of a trajectory in the frame that `frame` takes them to.
+pub fn positions(trajectory: &Trajectory, frame: &Pose2) -> Vec<Point> {
+    let transform = frame.transform();
+    trajectory.poses().iter().map(|p| transform.apply(p.pose.translation())).collect()
+}
+
+/// Paths in the plane over points of scans, as an SVG picture; marks at the ends of the last path.
+pub fn top_view(paths: Vec<Path>, scan_points: Vec<Point>) -> Result<String, PlotError> {
+    top_view_with(paths, scan_points, &[])
+}
+
+/// Legend, top view and panels, one above the other.
+fn top_view_with(paths: Vec<Path>, scan_points: Vec<Point>, panels: &[Panel]) -> Result<String, PlotError> {
+    let view = TopView { paths, scan_points };
     let window = view.window();
-    let panels_top = style::LEGEND_HEIGHT + window.height + style::SURROUND;
-    let panels_height = if ate.is_some() { error_panels::HEIGHT } else { 0 };
-    let mut svg = String::new();
-    let root = SVGBackend::with_string(&mut svg, (style::WIDTH, panels_top + panels_height)).into_drawing_area();
-    root.fill(&WHITE)?;
-    let (above, panels) = root.split_vertically(panels_top);
-    let (legend, top_view) = above.split_vertically(style::LEGEND_HEIGHT);
-    legend::draw(&legend, view, ate)?;
-    view.draw(&top_view, &window)?;
-    if let Some(ate) = ate {
-        error_panels::draw(&panels, ate, matched)?;
+    if !window.is_finite() || !panels.iter().all(Panel::is_finite) {
+        return Err(PlotError::TooLarge);
     }
-    root.present()?;
-    drop((root, above, panels, legend, top_view)); // they hold on to the text
+    let entries = view.legend();
+    let legend_height = legend::height(&entries);
+    let view_height = window.height + style::SURROUND;
+    drawn(legend_height + view_height + panels.iter().map(Panel::total_height).sum::<u32>(), |root| {
+        let (legend, rest) = root.split_vertically(legend_height);
+        legend::draw(&legend, &entries)?;
+        let (top_view, rest) = rest.split_vertically(view_height);
+        view.draw(&top_view, &window)?;
+        curves::draw_panels(rest, panels)
+    })
+}
+
+/// A white picture of this height, drawn on by `draw`.
+fn drawn(height: u32, draw: impl FnOnce(&Canvas) -> Result<(), DrawError>) -> Result<String, PlotError> {
+    let mut svg = String::new();
+    let root = SVGBackend::with_string(&mut svg, (style::WIDTH, height)).into_drawing_area();
+    root.fill(&WHITE).and_then(|()| draw(&root)).and_then(|()| root.present()).map_err(PlotError::Draw)?;
+    drop(root); // it holds on to the text
     Ok(svg)
+}
+
+/// Writes a picture to a file.
+pub fn write(path: &std::path::Path, svg: &str) -> Result<(), PlotError> {
+    std::fs::write(path, svg).map_err(|source| PlotError::Write { path: path.into(), source })
 }

@@ -5,7 +5,11 @@ use std::ops::Range;
 
 use plotters::prelude::*;
 
-use super::{Canvas, DrawError, style};
+use super::axis::{Axis, Sides, frame};
+use super::curves::draw_line;
+use super::legend::Entry;
+use super::style::{self, Colour, Look};
+use super::{Canvas, DrawError};
 use crate::geometry::Point;
 
 /// Least and greatest height of the plot, pixels.
@@ -13,11 +17,24 @@ const HEIGHTS: (f64, f64) = (500.0, 1500.0);
 /// Side of the squares that stand for scan points, pixels.
 const CELL: f64 = 3.0;
 
+const START: Look = Look::discs(Colour::Green, 12);
+const END: Look = Look::discs(Colour::Vermilion, 12);
+
+/// A way through the plane.
+#[derive(Clone, Debug)]
+pub struct Path {
+    /// The name in the legend.
+    pub name: String,
+    /// How it is drawn.
+    pub look: Look,
+    /// Its points, m.
+    pub points: Vec<Point>,
+}
+
 /// All that is seen from above, in one frame.
 pub(super) struct TopView {
-    pub(super) estimate: Vec<Point>,
-    /// Empty when there is none.
-    pub(super) truth: Vec<Point>,
+    /// The last one on top, with marks at its ends.
+    pub(super) paths: Vec<Path>,
     /// Empty when there are none.
     pub(super) scan_points: Vec<Point>,
 }
@@ -58,7 +75,7 @@ impl TopView {
         let mut scans: Vec<f64> = self.scan_points.iter().map(coordinate).collect();
         scans.sort_by(f64::total_cmp);
         let outermost = scans.len() / 100;
-        let paths = self.estimate.iter().chain(&self.truth).map(coordinate);
+        let paths = self.paths.iter().flat_map(|path| &path.points).map(coordinate);
         let (low, high) = paths
             .chain(scans[outermost..scans.len() - outermost].iter().copied())
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
@@ -67,44 +84,39 @@ impl TopView {
     }
 
     pub(super) fn draw(&self, area: &Canvas, window: &Window) -> Result<(), DrawError> {
-        let mut chart = ChartBuilder::on(area)
-            .margin(style::MARGIN)
-            .x_label_area_size(style::X_LABELS)
-            .y_label_area_size(style::Y_LABELS)
-            .build_cartesian_2d(window.x.clone(), window.y.clone())?;
-        chart
-            .configure_mesh()
-            .label_style(style::TYPE.into_text_style(area).color(&style::INK))
-            .axis_style(style::INK)
-            .bold_line_style(style::GRID)
-            .light_line_style(TRANSPARENT)
-            .x_labels(12)
-            .y_labels((window.height / 100) as usize)
-            .x_label_formatter(&style::tick)
-            .y_label_formatter(&style::tick)
-            .x_desc("x [m]")
-            .y_desc("y [m]")
-            .draw()?;
-
+        let sides = Sides { x: "x [m]", y: "y [m]", y_ticks: (window.height / 100) as usize };
+        let mut chart = frame(area, Axis::linear(window.x.clone()), Axis::linear(window.y.clone()), &sides)?;
         let side = CELL * window.metres_per_pixel;
         let bar = |(row, columns): (i32, Range<i32>)| {
             let at = |column: i32| window.x.start + side * f64::from(column);
             let bottom = window.y.start + side * f64::from(row);
             let top = bottom + side + window.metres_per_pixel; // overlaps the next row: rounding must leave no gap
-            Rectangle::new([(at(columns.start), top), (at(columns.end), bottom)], style::SCANS.filled())
+            Rectangle::new([(at(columns.start), top), (at(columns.end), bottom)], Colour::Grey.rgb().filled())
         };
         chart.draw_series(self.scan_runs(window, side).into_iter().map(bar))?;
-        for (points, colour, width) in [
-            (&self.truth, style::TRUTH, style::TRUTH_WIDTH), // below, and wider: seen where the estimate covers it
-            (&self.estimate, style::ESTIMATE, style::ESTIMATE_WIDTH),
-        ] {
-            chart.draw_series(LineSeries::new(points.iter().map(|p| (p.x, p.y)), colour.stroke_width(width)))?;
+        for path in &self.paths {
+            let points: Vec<_> = path.points.iter().map(|p| (p.x, p.y)).collect();
+            draw_line(&mut chart, &points, path.look)?;
         }
-        for (mark, colour) in [(self.estimate.first(), style::START), (self.estimate.last(), style::END)] {
+        let ends = self.paths.last().map(|path| (path.points.first(), path.points.last()));
+        let (start, end) = ends.unwrap_or_default();
+        for (mark, look) in [(start, START), (end, END)] {
             let disc = |radius, colour: RGBColor| mark.map(|p| Circle::new((p.x, p.y), radius, colour.filled()));
-            chart.draw_series(disc(style::MARK_RADIUS + 4, WHITE).into_iter().chain(disc(style::MARK_RADIUS, colour)))?;
+            let above = disc(look.mark_radius, look.colour.rgb());
+            chart.draw_series(disc(look.mark_radius + 4, WHITE).into_iter().chain(above))?;
         }
         Ok(())
+    }
+
+    /// What the signs stand for.
+    pub(super) fn legend(&self) -> Vec<Entry> {
+        let entry = |name: &str, look| Entry { name: name.to_owned(), look };
+        let mut entries: Vec<_> = self.paths.iter().map(|path| entry(&path.name, path.look)).collect();
+        entries.extend([entry("start", START), entry("end", END)]);
+        if !self.scan_points.is_empty() {
+            entries.push(entry("scans", Look::discs(Colour::Grey, START.mark_radius)));
+        }
+        entries
     }
 
     /// Runs of neighbouring grid cells that hold scan points, as row and columns from the window's lower left: a log has millions
@@ -130,11 +142,15 @@ impl TopView {
 mod tests {
     use super::*;
 
+    fn paths(points: &[Point]) -> Vec<Path> {
+        vec![Path { name: "estimate".into(), look: Look::line(Colour::Blue, 4), points: points.to_vec() }]
+    }
+
     #[test]
     fn scan_points_merge_into_runs_and_those_out_of_view_are_left_out() {
         let scan_points = [(0.1, 0.1), (0.2, 0.3), (1.5, 0.5), (3.5, 0.5), (0.5, 2.5), (9.0, 0.5), (0.5, -0.1)];
         let scan_points = scan_points.map(|(x, y)| Point::new(x, y)).to_vec();
-        let view = TopView { estimate: vec![Point::zeros()], truth: vec![], scan_points };
+        let view = TopView { paths: paths(&[Point::zeros()]), scan_points };
         let window = Window { x: 0.0..5.0, y: 0.0..5.0, height: 500, metres_per_pixel: 0.01 };
         assert_eq!(view.scan_runs(&window, 1.0), [(0, 0..2), (0, 3..4), (2, 0..1)]);
     }
@@ -142,7 +158,7 @@ mod tests {
     #[test]
     fn a_metre_is_as_long_along_both_axes_and_everything_is_in_view() {
         for (x, y) in [(0.0, 0.0), (100.0, 1.0), (1.0, 100.0), (30.0, 20.0)] {
-            let view = TopView { estimate: vec![Point::zeros(), Point::new(x, y)], truth: vec![], scan_points: vec![] };
+            let view = TopView { paths: paths(&[Point::zeros(), Point::new(x, y)]), scan_points: vec![] };
             let Window { x: across, y: up, height, metres_per_pixel } = view.window();
             assert!(across.contains(&0.0) && across.contains(&x) && up.contains(&0.0) && up.contains(&y));
             for (extent, pixels) in [(across, style::PLOT_WIDTH), (up, height)] {

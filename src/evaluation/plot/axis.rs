@@ -1,0 +1,170 @@
+//! An axis, linear or logarithmic, and the frame of ticks and labels that two of them make.
+
+use std::ops::Range;
+
+use plotters::coord::ranged1d::{BoldPoints, KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::*;
+
+use super::{Canvas, DrawError, style};
+
+/// Air beyond the outermost values, as a part of what they span.
+const AIR: f64 = 0.08;
+/// Fewer ticks than this do not tell the scale.
+const FEWEST_TICKS: usize = 3;
+
+/// How values lie along an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// Evenly, with the values filling the axis.
+    Linear,
+    /// Evenly, zero in view.
+    FromZero,
+    /// By their logarithm; values of zero and below are left out.
+    Logarithmic,
+}
+
+impl Scale {
+    /// Whether a value has a place on the axis.
+    pub(super) fn holds(self, value: f64) -> bool {
+        value.is_finite() && (self != Self::Logarithmic || value > 0.0)
+    }
+
+    /// The axis on which `values` are in view, with air around them.
+    pub(super) fn axis(self, values: impl Iterator<Item = f64>) -> Axis {
+        let held = values.filter(|&v| self.holds(v)).map(|v| if self == Self::Logarithmic { v.ln() } else { v });
+        let origin = if self == Self::FromZero { (0.0, 0.0) } else { (f64::INFINITY, f64::NEG_INFINITY) };
+        let (low, high) = held.fold(origin, |(low, high), v| (low.min(v), high.max(v)));
+        let (low, high) = if low > high { (0.0, 1.0) } else { (low, high) };
+        let air = (AIR * (high - low)).max(if self == Self::Logarithmic { 0.1 } else { 1e-3 });
+        match self {
+            Self::Linear => Axis::linear(low - air..high + air),
+            Self::FromZero => Axis::linear(if low < 0.0 { low - air } else { 0.0 }..high + air),
+            Self::Logarithmic => Axis { logarithmic: true, range: low - air..high + air },
+        }
+    }
+}
+
+/// One axis of a plot.
+#[derive(Clone)]
+pub(super) struct Axis {
+    logarithmic: bool,
+    /// Of the values, or of their natural logarithms.
+    range: Range<f64>,
+}
+
+impl Axis {
+    pub(super) fn linear(range: Range<f64>) -> Self {
+        Self { logarithmic: false, range }
+    }
+
+    /// Whether it can be drawn: the backend panics on axes without end.
+    pub(super) fn is_finite(&self) -> bool {
+        (self.range.end - self.range.start).is_finite()
+    }
+
+    fn inner(&self) -> RangedCoordf64 {
+        self.range.clone().into()
+    }
+
+    /// Powers of ten, with 2 and 5 between them where there is room; over a short span evenly spaced values.
+    fn logarithmic_ticks(&self, most: usize) -> Vec<f64> {
+        let within = self.range();
+        #[allow(clippy::cast_possible_truncation)] // exponents of finite numbers: a few hundred
+        let exponent = |v: f64| (v / std::f64::consts::LN_10).floor() as i32;
+        let decades = exponent(self.range.start)..=exponent(self.range.end);
+        let ticks = |digits: &[f64]| -> Vec<f64> {
+            let at = |exponent: i32| digits.iter().map(move |digit| digit * 10_f64.powi(exponent));
+            decades.clone().flat_map(at).filter(|tick| within.contains(tick)).collect()
+        };
+        let fine = ticks(&[1.0, 2.0, 5.0]);
+        match fine.len() {
+            count if count < FEWEST_TICKS => RangedCoordf64::from(self.range()).key_points(BoldPoints(most)),
+            count if count > most => ticks(&[1.0]),
+            _ => fine,
+        }
+    }
+}
+
+impl Ranged for Axis {
+    type FormatOption = NoDefaultFormatting;
+    type ValueType = f64;
+
+    fn map(&self, value: &f64, limit: (i32, i32)) -> i32 {
+        self.inner().map(&if self.logarithmic { value.ln() } else { *value }, limit)
+    }
+
+    fn key_points<Hint: KeyPointHint>(&self, hint: Hint) -> Vec<f64> {
+        if self.logarithmic { self.logarithmic_ticks(hint.bold_points()) } else { self.inner().key_points(hint) }
+    }
+
+    fn range(&self) -> Range<f64> {
+        if self.logarithmic { self.range.start.exp()..self.range.end.exp() } else { self.range.clone() }
+    }
+}
+
+impl ValueFormatter<f64> for Axis {
+    /// No more digits than a tick has: the steps are round, their sums are not quite.
+    fn format(value: &f64) -> String {
+        let rounded = (value * 1e6).round() / 1e6 + 0.0; // + 0.0: no "-0"
+        rounded.to_string()
+    }
+}
+
+/// What a frame says along its sides, and how many ticks there may be.
+pub(super) struct Sides<'a> {
+    pub(super) x: &'a str,
+    pub(super) y: &'a str,
+    pub(super) y_ticks: usize,
+}
+
+/// A plot with its axes drawn, ready for curves.
+pub(super) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Axis, Axis>>;
+
+/// Draws the frame of a plot over the whole of `area`.
+pub(super) fn frame<'a, 'b>(area: &'a Canvas<'b>, x: Axis, y: Axis, sides: &Sides) -> Result<Chart<'a, 'b>, DrawError> {
+    let mut chart = ChartBuilder::on(area)
+        .margin(style::MARGIN)
+        .x_label_area_size(style::X_LABELS)
+        .y_label_area_size(style::Y_LABELS)
+        .build_cartesian_2d(x, y)?;
+    chart
+        .configure_mesh()
+        .label_style(style::TYPE.into_text_style(area).color(&style::INK))
+        .axis_style(style::INK)
+        .bold_line_style(style::GRID)
+        .light_line_style(TRANSPARENT)
+        .x_labels(12)
+        .y_labels(sides.y_ticks)
+        .x_desc(sides.x)
+        .y_desc(sides.y)
+        .draw()?;
+    Ok(chart)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ticks(low: f64, high: f64) -> Vec<f64> {
+        Scale::Logarithmic.axis([low, high].into_iter()).key_points(BoldPoints(8))
+    }
+
+    #[test]
+    fn logarithmic_ticks_are_round_and_enough() {
+        assert_eq!(ticks(1.0, 10.0), [1.0, 2.0, 5.0, 10.0]);
+        assert_eq!(ticks(1e-3, 1e5).len(), 9);
+        assert!(ticks(6.0, 6.5).len() >= FEWEST_TICKS);
+        assert!(ticks(1.0, 1.0).len() >= FEWEST_TICKS);
+    }
+
+    #[test]
+    fn what_an_axis_holds_is_in_view() {
+        let holds = |scale: Scale, values: &[f64], value: f64| scale.axis(values.iter().copied()).range().contains(&value);
+        assert!(holds(Scale::FromZero, &[3.0, 4.0], 0.0) && holds(Scale::FromZero, &[-3.0, -1.0], -3.0));
+        assert!(holds(Scale::Linear, &[3.0, f64::NAN], 3.0) && !holds(Scale::Linear, &[3.0, 4.0], 0.0));
+        assert!(holds(Scale::Logarithmic, &[0.0, -1.0, 5.0], 5.0));
+        assert!(Scale::Logarithmic.axis([].into_iter()).is_finite());
+        assert!(!Scale::Linear.axis([-1e308, 1e308].into_iter()).is_finite());
+    }
+}
