@@ -121,6 +121,16 @@ impl Config {
         self.groups().into_iter().flat_map(in_group).collect()
     }
 
+    /// The knobs that are not at their defaults, with their values.
+    pub fn changes(&self) -> Vec<(String, Value)> {
+        let changed = |(path, knob): (String, KnobInfo)| {
+            let (group, _) = path.rsplit_once('.').unwrap_or_default();
+            let (_, knobs) = self.groups().into_iter().find(|(name, _)| *name == group)?;
+            knobs.get(knob.name).filter(|value| *value != knob.default).map(|value| (path, value))
+        };
+        self.table().into_iter().filter_map(changed).collect()
+    }
+
     /// Sets one knob. `source_name` says in errors where the value comes from.
     pub fn set(&mut self, path: &str, value: &Value, source_name: &str) -> Result<(), ConfigError> {
         let (group, name) = path.rsplit_once('.').unwrap_or(("", path));
@@ -222,6 +232,14 @@ mod tests {
         assert_eq!(by_yaml, by_assignment);
         assert_eq!(by_yaml.matching.solver, SolverKind::Linearized);
         assert_eq!(by_yaml.odometry.laser_in_base, Some(Pose2::new(0.275, 0.0, 0.0)));
+    }
+
+    #[test]
+    fn what_was_changed_is_known() {
+        let mut config = Config::default();
+        assert!(config.changes().is_empty());
+        config.set_yaml("base_frame: car\nmatching: {max_iterations: 8, solver: point_to_line}\n", "x.yaml").unwrap();
+        assert_eq!(config.changes(), [("base_frame".into(), "car".into()), ("matching.max_iterations".into(), 8.into())]);
     }
 
     #[test]

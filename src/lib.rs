@@ -31,6 +31,7 @@
 //! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |
 //! | [`app`] | messages in, estimates out |
 //! | [`replay`], `ros` | a bag, or a live graph, through the application |
+//! | [`profile`] | many replays: delay against error |
 //!
 //! # What always holds
 //!
@@ -54,6 +55,7 @@ pub mod knobs;
 pub mod matching;
 pub mod messages;
 pub mod odometry;
+pub mod profile;
 pub mod replay;
 #[cfg(feature = "ros")]
 pub mod ros;

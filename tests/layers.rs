@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// From the bottom up. Modules of one layer do not know each other.
-const LAYERS: [&[&str]; 9] = [
+const LAYERS: [&[&str]; 11] = [
     &["time", "geometry"],
     &["knobs"],
     &["messages"],
@@ -15,9 +15,9 @@ const LAYERS: [&[&str]; 9] = [
     &["odometry", "io"],
     &["config"],
     &["app"],
+    &["replay", "ros"],
+    &["profile"],
 ];
-/// Above all of these, and ignorant of each other.
-const TOP: [&str; 2] = ["replay", "ros"];
 
 fn rust_files(folder: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
@@ -33,9 +33,6 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
 }
 
 fn layer(module: &str) -> usize {
-    if TOP.contains(&module) {
-        return LAYERS.len();
-    }
     LAYERS
         .iter()
         .position(|layer| layer.contains(&module))

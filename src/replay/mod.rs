@@ -151,6 +151,6 @@ fn take(app: &mut App, topics: &Topics, message: &BagMessage) -> Result<(), Stri
 }
 
 /// Microseconds, for people and files.
-fn microseconds(duration: Duration) -> f64 {
+pub(crate) fn microseconds(duration: Duration) -> f64 {
     duration.as_secs_f64() * 1e6
 }

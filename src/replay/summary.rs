@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use super::{ReplayLog, microseconds};
 use crate::app::{Estimate, MountSource};
 use crate::evaluation::report::Report;
+use crate::evaluation::statistics::percentile;
 use crate::evaluation::trajectory::StampedPose;
 use crate::odometry::{OdometryCounters, Outcome};
 
@@ -107,10 +108,7 @@ impl Summary {
     fn times(&self) -> [f64; 3] {
         let mut sorted = self.elapsed.clone();
         sorted.sort_unstable();
-        [50, 99, 100].map(|percent| {
-            let index = (sorted.len() * percent).div_ceil(100).saturating_sub(1);
-            sorted.get(index).copied().map_or(0.0, microseconds)
-        })
+        [50, 99, 100].map(|percent| percentile(&sorted, percent).map_or(0.0, microseconds))
     }
 
     fn mean_iterations(&self) -> f64 {

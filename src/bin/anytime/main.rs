@@ -4,7 +4,10 @@
 mod configuration;
 mod evaluate;
 mod info;
+mod input_flags;
 mod knob_flags;
+mod profile;
+mod profile_flags;
 mod progress;
 mod replay;
 mod replay_flags;
@@ -27,6 +30,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Replay(replay_flags::Arguments),
+    Profile(profile_flags::Arguments),
     Info(info::Arguments),
     Simulate(simulate::Arguments),
     Evaluate(evaluate::Arguments),
@@ -35,6 +39,7 @@ enum Command {
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Replay(arguments) => replay::run(&arguments),
+        Command::Profile(arguments) => profile::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),

@@ -10,20 +10,20 @@ use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::replay::recorder::{OutputFiles, RecordError, Recorder};
 use anytime_scan_matcher::replay::summary::Ending;
-use anytime_scan_matcher::replay::{Topics, replay, truth};
+use anytime_scan_matcher::replay::{replay, truth};
 
 use crate::progress;
 use crate::replay_flags::Arguments;
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
-    let mut config = arguments.configuration.load()?;
+    let mut config = arguments.input.configuration.load()?;
     if let Some(budget) = arguments.time_budget {
         config.contract.time_budget = Seconds(budget.as_secs_f64());
     }
     let bag = Bag::open(&arguments.bag)?;
-    let topics = Topics::resolve(&bag, &arguments.scan_topic, arguments.odom_topic.as_deref())?;
-    let truth = arguments.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
-    let clock = arguments.clock.clock();
+    let topics = arguments.input.topics(&bag)?;
+    let truth = arguments.input.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
+    let clock = arguments.input.clock.clock();
     let mut app = App::new(&config, Arc::clone(&clock))?;
     let files = OutputFiles { tum: arguments.tum.clone(), csv: arguments.csv.clone() };
     let mut recorder = Recorder::create(files, arguments.plot.is_some())?;

@@ -10,9 +10,11 @@ use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::io::{map_file, simulated_bag};
 use anytime_scan_matcher::knobs::KnobValue;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
+use anytime_scan_matcher::simulation::drive::{DriveKnobs, Settings};
 use anytime_scan_matcher::simulation::scene::Scene;
 use clap::Args;
 
+use crate::knob_flags::help;
 use crate::simulation_flags::SimulationFlags;
 
 /// Drive a simulated racecar and write its scans and odometry to a bag
@@ -30,20 +32,33 @@ pub(crate) struct Arguments {
     /// How the chunks of the bag are packed: none, bz2 or lz4
     #[arg(long, default_value = "lz4", value_parser = |text: &str| Compression::from_value(&text.into()))]
     compression: Compression,
+    #[arg(long, default_value_t = DriveKnobs::default().seed, help = help::<DriveKnobs>("seed"))]
+    seed: u32,
     #[command(flatten)]
     flags: SimulationFlags,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
-    let settings = arguments.flags.settings()?;
-    let scene = scene(&arguments.world, settings.drive.seed)?;
-    let truth: Box<dyn Write> = match &arguments.truth {
+    let Arguments { world, out, truth, compression, seed, flags } = arguments;
+    let scans = drive(world, &flags.settings(*seed)?, out, *compression, truth.as_deref())?;
+    Ok(format!("{}: {scans} scans", out.display()))
+}
+
+/// Writes a drive to a bag, and its truth to a TUM file; answers the number of scans.
+pub(crate) fn drive(
+    world: &str,
+    settings: &Settings,
+    out: &Path,
+    compression: Compression,
+    truth: Option<&Path>,
+) -> anyhow::Result<u64> {
+    let scene = scene(world, settings.drive.seed)?;
+    let truth: Box<dyn Write> = match truth {
         Some(path) => Box::new(BufWriter::new(File::create(path).with_context(|| format!("cannot create {}", path.display()))?)),
         None => Box::new(sink()),
     };
-    let bag = BagWriter::create(&arguments.out, arguments.compression)?;
-    let scans = simulated_bag::record(&settings, &scene, bag, TumWriter::new(truth))?;
-    Ok(format!("{}: {scans} scans", arguments.out.display()))
+    let bag = BagWriter::create(out, compression)?;
+    Ok(simulated_bag::record(settings, &scene, bag, TumWriter::new(truth))?)
 }
 
 fn scene(world: &str, seed: u32) -> anyhow::Result<Scene> {

@@ -10,11 +10,10 @@ use clap::Args;
 use crate::knob_flags::{help, set, value};
 
 #[derive(Args)]
+#[group(requires = "world")]
 pub(crate) struct SimulationFlags {
     #[arg(long, value_parser = value, help = help::<DriveKnobs>("duration"))]
     duration: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<DriveKnobs>("seed"))]
-    seed: Option<Value>,
     #[arg(long, value_parser = value, help = help::<VehicleKnobs>("drive"))]
     drive: Option<Value>,
     #[arg(long, value_parser = value, help = help::<VehicleKnobs>("speed"))]
@@ -32,11 +31,11 @@ pub(crate) struct SimulationFlags {
 }
 
 impl SimulationFlags {
-    /// The defaults, with what the flags set.
-    pub(crate) fn settings(&self) -> anyhow::Result<Settings> {
+    /// The defaults, with the seed and what the flags set.
+    pub(crate) fn settings(&self, seed: u32) -> anyhow::Result<Settings> {
         let mut settings = Settings::default();
         set(&mut settings.drive, "duration", self.duration.as_ref())?;
-        set(&mut settings.drive, "seed", self.seed.as_ref())?;
+        settings.drive.seed = seed;
         set(&mut settings.vehicle, "drive", self.drive.as_ref())?;
         set(&mut settings.vehicle, "speed", self.speed.as_ref())?;
         set(&mut settings.lidar, "beams", self.beams.as_ref())?;

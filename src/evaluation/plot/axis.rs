@@ -125,6 +125,7 @@ pub(super) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Axi
 pub(super) fn frame<'a, 'b>(area: &'a Canvas<'b>, x: Axis, y: Axis, sides: &Sides) -> Result<Chart<'a, 'b>, DrawError> {
     let mut chart = ChartBuilder::on(area)
         .margin(style::MARGIN)
+        .margin_right(style::RIGHT_MARGIN)
         .x_label_area_size(style::X_LABELS)
         .y_label_area_size(style::Y_LABELS)
         .build_cartesian_2d(x, y)?;

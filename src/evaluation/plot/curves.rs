@@ -100,9 +100,10 @@ impl Panel {
         }
         let area = chart.plotting_area().strip_coord_spec();
         let (across, down) = area.get_pixel_range();
-        points.iter().map(|point| chart.backend_coord(point)).try_for_each(|(x, y)| {
-            area.draw(&style::mark((x - across.start, y - down.start), look))
-        })
+        points
+            .iter()
+            .map(|point| chart.backend_coord(point))
+            .try_for_each(|(x, y)| area.draw(&style::mark((x - across.start, y - down.start), look)))
     }
 }
 

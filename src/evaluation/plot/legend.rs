@@ -21,34 +21,34 @@ fn width(entry: &Entry) -> u32 {
     SAMPLE.cast_unsigned() + 60 + 17 * u32::try_from(entry.name.chars().count()).unwrap_or(0)
 }
 
-/// The entries in columns as wide as the widest asks for.
-fn columns(entries: &[Entry]) -> usize {
-    let widest = entries.iter().map(width).max().unwrap_or(1);
-    (style::PLOT_WIDTH / widest).max(1) as usize
+/// Left end and row of each entry: one after the other, as text flows.
+fn places(entries: &[Entry]) -> Vec<(u32, u32)> {
+    let (left, right) = (style::MARGIN + style::Y_LABELS, style::WIDTH - style::MARGIN);
+    let mut next = (left, 0);
+    let place = |entry: &Entry| {
+        if next.0 > left && next.0 + width(entry) > right {
+            next = (left, next.1 + 1);
+        }
+        let place = next;
+        next.0 += width(entry);
+        place
+    };
+    entries.iter().map(place).collect()
 }
 
 /// Height of the legend, pixels.
 pub(super) fn height(entries: &[Entry]) -> u32 {
-    let rows = u32::try_from(entries.len().div_ceil(columns(entries))).unwrap_or(1);
-    if rows == 0 { 0 } else { style::MARGIN + ROW_HEIGHT * rows }
+    places(entries).last().map_or(0, |(_, row)| style::MARGIN + ROW_HEIGHT * (row + 1))
 }
 
 pub(super) fn draw(area: &Canvas, entries: &[Entry]) -> Result<(), DrawError> {
     let type_style = style::TYPE.into_text_style(area).color(&style::INK).pos(Pos::new(HPos::Left, VPos::Center));
-    let left = (style::MARGIN + style::Y_LABELS).cast_signed();
-    let columns = columns(entries);
-    // Entries that fit on one line stand close together, as text does.
-    let column_width = (entries.len() > columns).then_some(style::PLOT_WIDTH / u32::try_from(columns).unwrap_or(1));
-    let mut x = left;
-    let mut y = (style::MARGIN + ROW_HEIGHT / 2).cast_signed();
-    for (i, entry) in entries.iter().enumerate() {
-        if i > 0 && i % columns == 0 {
-            (x, y) = (left, y + ROW_HEIGHT.cast_signed());
-        }
-        let end = (x + SAMPLE, y);
+    for (entry, (left, row)) in entries.iter().zip(places(entries)) {
+        let x = left.cast_signed();
+        let y = (style::MARGIN + ROW_HEIGHT * row + ROW_HEIGHT / 2).cast_signed();
         match entry.look.dash {
             Dash::None => {}
-            Dash::Solid => area.draw(&PathElement::new([(x, y), end], entry.look.stroke()))?,
+            Dash::Solid => area.draw(&PathElement::new([(x, y), (x + SAMPLE, y)], entry.look.stroke()))?,
             Dash::Dashed => draw_pieces(area, (x, y), &[0, 31, 62], 22, entry.look)?,
             Dash::Dotted => draw_pieces(area, (x, y), &[0, 16, 32, 48, 64, 78], 6, entry.look)?,
         }
@@ -56,11 +56,24 @@ pub(super) fn draw(area: &Canvas, entries: &[Entry]) -> Result<(), DrawError> {
             area.draw(&style::mark((x + SAMPLE / 2, y), entry.look))?;
         }
         area.draw(&Text::new(entry.name.as_str(), (x + SAMPLE + 16, y), type_style.clone()))?;
-        x += column_width.unwrap_or_else(|| width(entry)).cast_signed();
     }
     Ok(())
 }
 
 fn draw_pieces(area: &Canvas, (x, y): (i32, i32), starts: &[i32], length: i32, look: Look) -> Result<(), DrawError> {
     starts.iter().try_for_each(|start| area.draw(&PathElement::new([(x + start, y), (x + start + length, y)], look.stroke())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluation::plot::style::Colour;
+
+    #[test]
+    fn entries_flow_into_rows_within_the_picture() {
+        let entry = |letters: usize| Entry { name: "x".repeat(letters), look: Look::line(Colour::Blue, 4) };
+        let entries: Vec<Entry> = [10, 30, 40, 200, 5].map(entry).into();
+        assert_eq!(places(&entries).iter().map(|(_, row)| *row).collect::<Vec<_>>(), [0, 0, 1, 2, 3]);
+        assert_eq!((height(&entries), height(&[])), (style::MARGIN + 4 * ROW_HEIGHT, 0));
+    }
 }

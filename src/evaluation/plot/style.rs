@@ -6,10 +6,12 @@ use plotters::prelude::*;
 /// Width of the picture. The backend rounds to whole pixels: a wide picture, which browsers shrink, keeps curves smooth.
 pub(super) const WIDTH: u32 = 1800;
 pub(super) const MARGIN: u32 = 24;
+/// Room for the half of the last label that stands out.
+pub(super) const RIGHT_MARGIN: u32 = 54;
 pub(super) const X_LABELS: u32 = 90;
 pub(super) const Y_LABELS: u32 = 130;
 /// Width of a plot without its labels.
-pub(super) const PLOT_WIDTH: u32 = WIDTH - 2 * MARGIN - Y_LABELS;
+pub(super) const PLOT_WIDTH: u32 = WIDTH - MARGIN - RIGHT_MARGIN - Y_LABELS;
 /// What a plot needs above and below itself.
 pub(super) const SURROUND: u32 = 2 * MARGIN + X_LABELS;
 pub(super) const TYPE: (&str, u32) = ("sans-serif", 36);
@@ -20,7 +22,8 @@ pub(super) const TRUTH_WIDTH: u32 = 8;
 pub(super) const GRID: RGBColor = RGBColor(232, 234, 237);
 pub(super) const INK: RGBColor = RGBColor(60, 60, 60);
 
-/// Colours distinct to colour-blind readers too: M. Okabe, K. Ito, Color Universal Design, 2008; and a grey.
+/// Colours distinct to colour-blind readers too: M. Okabe, K. Ito, Color Universal Design, 2008; a grey, and that of the
+/// type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)] // they are what they are called
 pub enum Colour {
@@ -31,6 +34,7 @@ pub enum Colour {
     Purple,
     SkyBlue,
     Grey,
+    Ink,
 }
 
 impl Colour {
@@ -46,6 +50,7 @@ impl Colour {
             Self::Purple => RGBColor(204, 121, 167),
             Self::SkyBlue => RGBColor(86, 180, 233),
             Self::Grey => RGBColor(176, 183, 193),
+            Self::Ink => INK,
         }
     }
 }

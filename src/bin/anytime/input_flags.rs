@@ -1,0 +1,60 @@
+//! The arguments by which a bag is replayed: topics, truth, clock and knobs.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock, VirtualClock};
+use anytime_scan_matcher::io::bag::{Bag, BagError};
+use anytime_scan_matcher::replay::Topics;
+use clap::{Args, ValueEnum};
+
+use crate::configuration::Configuration;
+
+/// Time that passes on the virtual clock at each reading.
+const VIRTUAL_TICK: Duration = Duration::from_micros(10);
+
+#[derive(Args)]
+pub(crate) struct InputFlags {
+    /// Topic of the laser scans
+    #[arg(long, default_value = "/scan")]
+    scan_topic: String,
+    /// Topic of the wheel odometry [default: /odom, if the bag has it]
+    #[arg(long)]
+    odom_topic: Option<String>,
+    /// True poses to compare with: a TUM file, or a topic of the bag
+    #[arg(long, value_name = "FILE|TOPIC")]
+    pub(crate) truth: Option<String>,
+    /// The clock of the contract; with `virtual` all files of two runs are equal to the byte
+    #[arg(long, value_enum, default_value = "monotonic")]
+    pub(crate) clock: ClockChoice,
+    #[command(flatten)]
+    pub(crate) configuration: Configuration,
+}
+
+impl InputFlags {
+    pub(crate) fn topics(&self, bag: &Bag) -> Result<Topics, BagError> {
+        Topics::resolve(bag, &self.scan_topic, self.odom_topic.as_deref())
+    }
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum ClockChoice {
+    Monotonic,
+    Virtual,
+}
+
+impl ClockChoice {
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Monotonic => "monotonic",
+            Self::Virtual => "virtual",
+        }
+    }
+
+    pub(crate) fn clock(self) -> Arc<dyn Clock> {
+        match self {
+            Self::Monotonic => Arc::new(MonotonicClock::default()),
+            Self::Virtual => Arc::new(VirtualClock::new(VIRTUAL_TICK)),
+        }
+    }
+}

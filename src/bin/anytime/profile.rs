@@ -1,0 +1,74 @@
+//! `anytime profile`.
+
+use std::env;
+use std::fs;
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use anytime_scan_matcher::io::bag::{Bag, Compression};
+use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
+use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::profile::plan::Plan;
+use anytime_scan_matcher::profile::run::Input;
+use anytime_scan_matcher::profile::study::{Names, Study};
+use anytime_scan_matcher::replay::truth;
+
+use crate::profile_flags::Arguments;
+use crate::{progress, simulate};
+
+/// Where a simulated drive has its true poses.
+const SIMULATED_TRUTH: &str = "/gt_pose";
+
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
+    let Arguments { out, input, .. } = arguments;
+    let config = input.configuration.load()?;
+    let plan = Plan::new(&config, &arguments.variants(), &arguments.sweeps()?, arguments.rounds, arguments.seed)?;
+    fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
+    let path = bag_path(arguments)?;
+    let bag = Bag::open(&path)?;
+    let topics = input.topics(&bag)?;
+    let truth_name = truth_name(arguments, &bag)?;
+    let truth = truth::load(&truth_name, &bag)?;
+    let new_clock = || input.clock.clock();
+    let study = Study {
+        input: Input { bag: &bag, topics: &topics, truth: &truth },
+        config: &config,
+        plan: &plan,
+        new_clock: &new_clock,
+        names: Names { bag: path.display().to_string(), truth: truth_name, clock: input.clock.name().into(), command: command() },
+    };
+    let progress = progress::bar(bag.message_count(Some(&topics.all())) * plan.runs() as u64)?;
+    progress.println(format!("{} cases in {} rounds: {} runs", plan.cases.len(), plan.rounds, plan.runs()));
+    study.conduct(out, || progress.inc(1))?;
+    progress.finish_and_clear();
+    Ok(format!("{}: {} runs", out.join("report.html").display(), plan.runs()))
+}
+
+/// The bag given, or that of the drive asked for.
+fn bag_path(arguments: &Arguments) -> anyhow::Result<PathBuf> {
+    let Some(world) = &arguments.world else { return Ok(arguments.bag.clone().unwrap_or_default()) };
+    let path = arguments.out.join("drive.bag");
+    let settings = arguments.simulation.settings(arguments.seed)?;
+    simulate::drive(world, &settings, &path, Compression::Lz4, Some(&arguments.out.join("drive.tum")))?;
+    Ok(path)
+}
+
+fn truth_name(arguments: &Arguments, bag: &Bag) -> anyhow::Result<String> {
+    match &arguments.input.truth {
+        Some(name) => Ok(name.clone()),
+        None if arguments.world.is_some() => Ok(SIMULATED_TRUTH.into()),
+        None => {
+            let candidates = [bag.topics_of::<PoseStamped>(), bag.topics_of::<Odometry>()].concat();
+            let candidates = if candidates.is_empty() { "none".into() } else { candidates.join(", ") };
+            anyhow::bail!(
+                "errors need the truth: --truth FILE.tum, or --truth TOPIC with a topic of the bag (those that carry poses: {candidates})"
+            )
+        }
+    }
+}
+
+/// What was typed, but for the place of the program.
+fn command() -> String {
+    let words = env::args().skip(1).map(|word| if word.contains(' ') { format!("'{word}'") } else { word });
+    ["anytime".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
+}

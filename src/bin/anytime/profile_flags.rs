@@ -1,0 +1,62 @@
+//! Arguments of `anytime profile`.
+
+use std::path::PathBuf;
+
+use anytime_scan_matcher::knobs::KnobValue;
+use anytime_scan_matcher::profile::knob::Knob;
+use anytime_scan_matcher::profile::plan::Sweep;
+use anytime_scan_matcher::profile::variant::Variant;
+use clap::Args;
+
+use crate::input_flags::InputFlags;
+use crate::simulation_flags::SimulationFlags;
+
+/// Measure delay and error of every variant over the values of its knobs: tables, pictures, a report, and a profile for planners
+///
+/// Errors are those of `anytime evaluate`: after the alignment of the whole trajectory to the truth.
+#[derive(Args)]
+pub(crate) struct Arguments {
+    /// The bag; or --world
+    #[arg(required_unless_present = "world", conflicts_with = "world")]
+    pub(crate) bag: Option<PathBuf>,
+    /// Simulate the drive first, into DIR/drive.bag: in corridor, room, or the YAML file of a map
+    #[arg(long)]
+    pub(crate) world: Option<String>,
+    /// The folder to write to
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Turn this knob: max_iterations, time_budget, beams or keyframe_distance [default: each in turn]
+    #[arg(long, value_parser = |text: &str| Knob::from_value(&text.into()))]
+    knob: Option<Knob>,
+    /// Try these values of the knob, such as 1,2,4,8 or 1ms,5ms [default: those of the knob]
+    #[arg(long, value_delimiter = ',', requires = "knob")]
+    values: Vec<String>,
+    /// Profile this variant, such as jump_table+point_to_line; may be given many times [default: every search with every solver]
+    #[arg(long, value_name = "SEARCH+SOLVER")]
+    variant: Vec<Variant>,
+    /// Run each case so often, interleaved with all others
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(crate) rounds: u32,
+    /// Seed of the order of the runs within the rounds, and of the simulated drive
+    #[arg(long, default_value_t = 1)]
+    pub(crate) seed: u32,
+    #[command(flatten)]
+    pub(crate) input: InputFlags,
+    #[command(flatten)]
+    pub(crate) simulation: SimulationFlags,
+}
+
+impl Arguments {
+    pub(crate) fn variants(&self) -> Vec<Variant> {
+        if self.variant.is_empty() { Variant::all() } else { self.variant.clone() }
+    }
+
+    pub(crate) fn sweeps(&self) -> anyhow::Result<Vec<Sweep>> {
+        let Some(knob) = self.knob else {
+            return Ok(Knob::ALL.iter().map(|&knob| Sweep { knob, values: None }).collect());
+        };
+        let values = self.values.iter().map(|text| knob.parse(text.trim())).collect::<Result<Vec<_>, _>>();
+        let values = values.map_err(|problem| anyhow::anyhow!("--values: {problem}"))?;
+        Ok(vec![Sweep { knob, values: (!values.is_empty()).then_some(values) }])
+    }
+}

@@ -1,0 +1,165 @@
+//! The report: one page of HTML with everything in it.
+
+use std::fmt::Write as _;
+
+use super::pictures::Picture;
+use super::study::{ERROR_MEANS, Results};
+use super::summary::CaseSummary;
+
+const STYLE: &str = "
+body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2rem auto; padding: 0 1rem; }
+h1, h2 { line-height: 1.2; } h2 { margin-top: 3rem; border-bottom: 1px solid #ddd; padding-bottom: .3rem; }
+figure { margin: 1rem 0; } svg { width: 100%; height: auto; } figcaption { color: #555; }
+table { border-collapse: collapse; font-size: 14px; font-variant-numeric: tabular-nums; display: block; overflow-x: auto; }
+th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #eee; white-space: nowrap; }
+th:first-child, td:first-child, table.facts td { text-align: left; } table.facts td { white-space: normal; }
+pre { background: #f6f7f8; padding: .8rem; overflow-x: auto; } summary { cursor: pointer; font-weight: 600; margin: .6rem 0; }
+";
+
+/// Text as HTML shows it, in content and in quoted attributes.
+///
+/// ```
+/// assert_eq!(anytime_scan_matcher::profile::html::escaped("<a & 'b'>"), "&lt;a &amp; &#39;b&#39;&gt;");
+/// ```
+pub fn escaped(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            '\'' => escaped.push_str("&#39;"),
+            _ => escaped.push(letter),
+        }
+    }
+    escaped
+}
+
+/// The page. `command` is what was typed.
+pub fn report(results: &Results, pictures: &[Picture], command: &str) -> String {
+    let mut page = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
+         <title>Profile of {0}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>Delay and error: profile of {0}</h1>\n",
+        escaped(&results.provenance.bag)
+    );
+    let mut add = |text: &str| page.push_str(text);
+    add(&facts(results, command));
+    add(&contents(pictures));
+    for picture in pictures {
+        add(&format!(
+            "<h2 id=\"{}\">{}</h2>\n<figure>\n{}<figcaption>{}</figcaption>\n</figure>\n",
+            escaped(&picture.name),
+            escaped(&picture.title),
+            picture.svg,
+            escaped(&picture.caption)
+        ));
+    }
+    add(&cost_table(results));
+    add(&summary_tables(results));
+    add("</body>\n</html>\n");
+    page
+}
+
+fn contents(pictures: &[Picture]) -> String {
+    let entry = |name: &str, title: &str| format!("<li><a href=\"#{}\">{}</a></li>\n", escaped(name), escaped(title));
+    let pictures: String = pictures.iter().map(|picture| entry(&picture.name, &picture.title)).collect();
+    format!("<ul>\n{pictures}{}{}</ul>\n", entry("cost", "Cost of an iteration"), entry("summary", "All figures"))
+}
+
+/// What was measured, on what, and how.
+fn facts(results: &Results, command: &str) -> String {
+    let from = &results.provenance;
+    let parameters: Vec<String> = from.parameters.iter().map(|(path, value)| format!("{path}={value}")).collect();
+    let or_none = |text: String| if text.is_empty() { "none".into() } else { text };
+    let variants: Vec<String> = results.variants().iter().map(ToString::to_string).collect();
+    let knobs: Vec<&str> = results.knobs().iter().map(|knob| knob.name()).collect();
+    let facts = [
+        ("bag", from.bag.clone()),
+        ("truth", from.truth.clone()),
+        (
+            "topics",
+            [Some(from.scan_topic.clone()), from.odometry_topic.clone()].into_iter().flatten().collect::<Vec<_>>().join(", "),
+        ),
+        ("scans", format!("{} of {} beams", from.scans, from.beams)),
+        ("variants", variants.join(", ")),
+        ("knobs", knobs.join(", ")),
+        ("rounds", format!("{}, each in an order of its own (seed {})", from.rounds, from.seed)),
+        ("clock", from.clock.clone()),
+        ("parameters not at their defaults", or_none(parameters.join(", "))),
+        ("program", format!("anytime_scan_matcher {}", from.version)),
+        ("errors", ERROR_MEANS.into()),
+        ("delays", "from a scan's arrival in the process to its answer; each figure is the median over the rounds".into()),
+        (
+            "searches",
+            "those other than jump_table have fewer values unless some were asked for: their answers are the same".into(),
+        ),
+    ];
+    let rows: String =
+        facts.iter().map(|(what, value)| format!("<tr><td>{what}</td><td>{}</td></tr>\n", escaped(value))).collect();
+    format!("<pre>{}</pre>\n<table class=\"facts\">\n{rows}</table>\n", escaped(command))
+}
+
+fn table<'a>(header: &[&str], rows: impl Iterator<Item = Vec<String>> + 'a) -> String {
+    let mut text = String::from("<table>\n<tr>");
+    for name in header {
+        let _ = write!(text, "<th>{}</th>", escaped(name));
+    }
+    text.push_str("</tr>\n");
+    for row in rows {
+        let cells: String = row.iter().map(|cell| format!("<td>{}</td>", escaped(cell))).collect();
+        let _ = writeln!(text, "<tr>{cells}</tr>");
+    }
+    text + "</table>\n"
+}
+
+fn cost_table(results: &Results) -> String {
+    let rows = results.costs.iter().map(|cost| {
+        let figure = |us: Option<f64>| us.map_or_else(|| "-".into(), |us| format!("{us:.1}"));
+        let (setup, per_iteration) = cost.model.map(|model| (model.setup_us, model.per_iteration_us)).unzip();
+        vec![cost.variant.to_string(), figure(setup), figure(per_iteration)]
+    });
+    format!("<h2 id=\"cost\">Cost of an iteration</h2>\n{}", table(&["variant", "setup [us]", "per iteration [us]"], rows))
+}
+
+fn summary_tables(results: &Results) -> String {
+    let header = [
+        "variant",
+        "value",
+        "failed",
+        "mean delay [us]",
+        "p50 [us]",
+        "p99 [us]",
+        "position MSE [mm²]",
+        "RMSE [mm]",
+        "orientation MSE [deg²]",
+        "RMSE [deg]",
+        "drift per m [mm]",
+        "iterations",
+    ];
+    let mut text = String::from("<h2 id=\"summary\">All figures</h2>\n");
+    for knob in results.knobs() {
+        let rows = results.cases.iter().filter(|case| case.case.knob == knob).map(summary_row);
+        let _ = writeln!(text, "<details open><summary>{}</summary>\n{}</details>", knob.name(), table(&header, rows));
+    }
+    text
+}
+
+fn summary_row(summary: &CaseSummary) -> Vec<String> {
+    let figures = &summary.figures;
+    let degrees = figures.orientation.rmse().to_degrees();
+    vec![
+        summary.case.variant.to_string(),
+        summary.case.knob.show(summary.case.value),
+        figures.failed.to_string(),
+        format!("{:.1}", figures.delay.mean),
+        format!("{:.1}", figures.delay.p50),
+        format!("{:.1}", figures.delay.p99),
+        format!("{:.3}", 1e6 * figures.position.mean_square),
+        format!("{:.3}", 1e3 * figures.position.rmse()),
+        format!("{:.6}", degrees * degrees),
+        format!("{degrees:.4}"),
+        format!("{:.3}", 1e3 * figures.drift.0),
+        format!("{:.2}", figures.mean_iterations),
+    ]
+}

@@ -1,0 +1,134 @@
+//! The knobs whose trade-off between delay and error is measured.
+
+use std::time::Duration;
+
+use crate::config::{Config, ConfigError};
+use crate::knobs::{KnobValue, Seconds, Value};
+use crate::matching::MatchingKnobs;
+use crate::matching::correspondence::Correspondence;
+
+crate::choices! {
+    /// A knob to turn.
+    pub enum Knob {
+        /// Iterations of a match at most.
+        MaxIterations = "max_iterations",
+        /// Time from a scan's arrival to its pose.
+        TimeBudget = "time_budget",
+        /// Rays of a scan that are matched; 0: all.
+        Beams = "beams",
+        /// Way after which a scan becomes the reference of the next ones.
+        KeyframeDistance = "keyframe_distance",
+    }
+}
+
+/// What there is to know of a knob.
+struct Description {
+    path: &'static str,
+    unit: &'static str,
+    values: &'static [f64],
+    /// For searches other than the default one: their answers are the same, and a few values show their delays.
+    few_values: &'static [f64],
+}
+
+impl Knob {
+    fn description(self) -> Description {
+        match self {
+            Self::MaxIterations => Description {
+                path: "matching.max_iterations",
+                unit: "",
+                values: &[1.0, 2.0, 3.0, 4.0, 6.0, 10.0, 30.0],
+                few_values: &[1.0, 2.0, 4.0],
+            },
+            Self::TimeBudget => Description {
+                path: "contract.time_budget",
+                unit: "s",
+                values: &[2e-4, 5e-4, 1e-3, 2e-3, 5e-3],
+                few_values: &[1e-3, 5e-3],
+            },
+            Self::Beams => Description {
+                path: "matching.max_rays",
+                unit: "",
+                values: &[45.0, 90.0, 180.0, 360.0, 720.0, 0.0],
+                few_values: &[90.0, 360.0],
+            },
+            Self::KeyframeDistance => {
+                Description { path: "odometry.keyframe_distance", unit: "m", values: &[0.0, 0.25, 0.5, 1.0], few_values: &[0.5] }
+            }
+        }
+    }
+
+    /// The path of the parameter in the configuration.
+    pub fn path(self) -> &'static str {
+        self.description().path
+    }
+
+    /// Unit of its values; empty for a count.
+    pub fn unit(self) -> &'static str {
+        self.description().unit
+    }
+
+    /// The values that are tried unless others are asked for.
+    pub fn default_values(self, search: Correspondence) -> &'static [f64] {
+        let description = self.description();
+        if search == MatchingKnobs::default().correspondence { description.values } else { description.few_values }
+    }
+
+    /// A value in the knob's unit from text: a number, for the time budget also `5ms`.
+    pub fn parse(self, text: &str) -> Result<f64, String> {
+        let value = text.parse::<f64>().map_or_else(|_| Value::from(text), Value::from);
+        let number = match self {
+            Self::TimeBudget => Seconds::from_value(&value).map(|seconds| seconds.0),
+            _ => f64::from_value(&value),
+        };
+        number.map_err(|problem| format!("{}: {problem}", self.name()))
+    }
+
+    /// A value for people.
+    pub fn show(self, value: f64) -> String {
+        match self {
+            Self::TimeBudget if value == 0.0 => "no limit".into(),
+            Self::TimeBudget => Duration::try_from_secs_f64(value)
+                .map_or_else(|_| value.to_string(), |d| humantime::format_duration(d).to_string()),
+            Self::Beams if value == 0.0 => "all".into(),
+            Self::KeyframeDistance => format!("{value} m"),
+            _ => value.to_string(),
+        }
+    }
+
+    /// Where a value stands among others: what lifts a limit comes last.
+    pub(super) fn rank(self, value: f64) -> f64 {
+        let lifts = matches!(self, Self::TimeBudget | Self::Beams) && value == 0.0;
+        if lifts { f64::INFINITY } else { value }
+    }
+
+    /// Sets the knob in a configuration.
+    pub fn set(self, config: &mut Config, value: f64) -> Result<(), ConfigError> {
+        #[allow(clippy::cast_possible_truncation)] // whole, and checked to be so
+        let whole = value as i64;
+        let exact = if whole as f64 == value { Value::from(whole) } else { Value::from(value) };
+        config.set(self.path(), &exact, self.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_come_as_people_write_them() {
+        assert_eq!(Knob::TimeBudget.parse("5ms"), Ok(0.005));
+        assert_eq!(Knob::TimeBudget.parse("0.005"), Ok(0.005));
+        assert_eq!(Knob::KeyframeDistance.parse("0.5"), Ok(0.5));
+        assert!(Knob::MaxIterations.parse("many").unwrap_err().contains("max_iterations"));
+        assert_eq!([Knob::TimeBudget.show(0.005), Knob::Beams.show(0.0), Knob::Beams.show(90.0)], ["5ms", "all", "90"]);
+    }
+
+    #[test]
+    fn every_default_value_is_one_the_configuration_takes() {
+        for &knob in Knob::ALL {
+            for value in knob.default_values(Correspondence::Naive).iter().chain(knob.default_values(Correspondence::JumpTable)) {
+                knob.set(&mut Config::default(), *value).unwrap();
+            }
+        }
+    }
+}

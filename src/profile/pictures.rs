@@ -1,0 +1,349 @@
+//! The pictures of a study.
+
+use super::ProfileError;
+use super::knob::Knob;
+use super::run::Run;
+use super::study::Results;
+use super::summary::CaseSummary;
+use super::variant::Variant;
+use crate::evaluation::plot::{Colour, Dash, Look, Mark, Panel, Path, Scale, Series, curves, positions, top_view, true_path};
+use crate::evaluation::statistics::percentile;
+use crate::geometry::{Point, Pose2, wrap_angle};
+use crate::matching::correspondence::Correspondence;
+use crate::matching::solver::SolverKind;
+
+/// Values of a knob that a picture of whole trajectories can hold apart.
+const SHOWN_VALUES: usize = 4;
+
+/// A picture and what it shows.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Name of its file, without the ending.
+    pub name: String,
+    /// Title, for people.
+    pub title: String,
+    /// What is to be seen.
+    pub caption: String,
+    /// The picture.
+    pub svg: String,
+}
+
+/// All pictures of a study, in the order of the report.
+pub fn draw(results: &Results) -> Result<Vec<Picture>, ProfileError> {
+    let mut pictures = Vec::new();
+    for knob in results.knobs() {
+        pictures.push(delay_error(results, knob)?);
+    }
+    pictures.push(trajectories(results)?);
+    pictures.push(poses(results)?);
+    pictures.push(pose_errors(results)?);
+    pictures.push(delay_by_iterations(results)?);
+    pictures.push(descents(results)?);
+    pictures.push(search_times(results)?);
+    Ok(pictures)
+}
+
+fn position<T: PartialEq>(all: &[T], one: &T) -> usize {
+    all.iter().position(|other| other == one).unwrap_or(0)
+}
+
+fn colour(index: usize) -> Colour {
+    Colour::CURVES[index % Colour::CURVES.len()]
+}
+
+/// Colour by solver, line and sign by search.
+fn look(variant: Variant) -> Look {
+    let (dash, mark) = match variant.search {
+        Correspondence::Naive => (Dash::Dotted, Mark::Triangle),
+        Correspondence::JumpTable => (Dash::Solid, Mark::Disc),
+        Correspondence::KdTree => (Dash::Dashed, Mark::Square),
+    };
+    Look { dash, mark, ..Look::line(colour(position(SolverKind::ALL, &variant.solver)), 4) }
+}
+
+/// Series without points that name the solvers by their colours.
+fn solver_legend(results: &Results) -> Vec<Series> {
+    let is_there = |solver: &&SolverKind| results.variants().iter().any(|variant| variant.solver == **solver);
+    let entry = |solver: &SolverKind| Series {
+        name: solver.name().into(),
+        look: Look::line(colour(position(SolverKind::ALL, solver)), 14),
+        points: Vec::new(),
+    };
+    SolverKind::ALL.iter().filter(is_there).map(entry).collect()
+}
+
+/// Series without points that name the searches by their lines and signs.
+fn search_legend(results: &Results) -> Vec<Series> {
+    let is_there = |search: &&Correspondence| results.variants().iter().any(|variant| variant.search == **search);
+    let entry = |&search: &Correspondence| Series {
+        name: search.name().into(),
+        look: Look { colour: Colour::Ink, ..look(Variant { search, solver: SolverKind::PointToLine }) },
+        points: Vec::new(),
+    };
+    Correspondence::ALL.iter().filter(is_there).map(entry).collect()
+}
+
+fn panel(x: &str, y: &str, scales: (Scale, Scale), height: u32, series: Vec<Series>) -> Panel {
+    Panel { x: x.into(), y: y.into(), scales, height, series }
+}
+
+fn delay_error(results: &Results, knob: Knob) -> Result<Picture, ProfileError> {
+    type Error = fn(&CaseSummary) -> f64;
+    let curve = |variant: Variant, error: Error| Series {
+        name: String::new(),
+        look: look(variant),
+        points: results.of(variant, knob).into_iter().map(|case| (case.figures.delay.mean, error(case))).collect(),
+    };
+    let of_all = |label: &str, error: Error| {
+        let mut series = [solver_legend(results), search_legend(results)].concat();
+        series.extend(results.variants().into_iter().map(|variant| curve(variant, error)));
+        panel("mean delay [us]", label, (Scale::Logarithmic, Scale::Logarithmic), 560, series)
+    };
+    let panels = [
+        of_all("position RMSE [mm]", |case| 1e3 * case.figures.position.rmse()),
+        of_all("orientation RMSE [deg]", |case| case.figures.orientation.rmse().to_degrees()),
+    ];
+    let mut values: Vec<f64> = results.cases.iter().filter(|case| case.case.knob == knob).map(|case| case.case.value).collect();
+    values.sort_by(|a, b| knob.rank(*a).total_cmp(&knob.rank(*b)));
+    values.dedup();
+    let values: Vec<String> = values.into_iter().map(|value| knob.show(value)).collect();
+    Ok(Picture {
+        name: format!("delay_error_{}", knob.name()),
+        title: format!("Delay and error by {}", knob.name()),
+        caption: format!(
+            "A sign for each value of {}: {}. Delay: from a scan's arrival to its answer, the mean over all scans, the median of the \
+             rounds. Error: root mean square after alignment. Colours are solvers; lines and signs are searches, which are all exact: \
+             but for ties they differ in delay only.",
+            knob.name(),
+            values.join(", ")
+        ),
+        svg: curves(&panels)?,
+    })
+}
+
+/// The cases that stand for the study: some of its values, the first and the last among them.
+fn shown(results: &Results) -> Vec<usize> {
+    let all = results.showcase();
+    let count = all.len().min(SHOWN_VALUES);
+    (0..count).filter_map(|k| all.get(k * (all.len() - 1) / (count - 1).max(1)).copied()).collect()
+}
+
+fn case_name(case: &CaseSummary) -> String {
+    format!("{} {}", case.case.knob.name(), case.case.knob.show(case.case.value))
+}
+
+fn case_words(results: &Results) -> String {
+    shown(results).first().map_or_else(String::new, |&i| results.cases[i].case.variant.to_string())
+}
+
+fn trajectories(results: &Results) -> Result<Picture, ProfileError> {
+    let chosen = shown(results);
+    let mut paths = vec![true_path(&results.truth)];
+    for (n, &i) in chosen.iter().enumerate() {
+        let run = &results.first_runs[i];
+        let points = positions(&run.trajectory()?, &run.truth_from_odom);
+        let name = format!("{} ({:.1} mm)", case_name(&results.cases[i]), 1e3 * results.cases[i].figures.position.rmse());
+        paths.push(Path { name, look: Look::line(path_colour(n), 4), points });
+    }
+    let scan_points: Vec<Point> = chosen.last().map_or_else(Vec::new, |&i| {
+        let run = &results.first_runs[i];
+        let transform = run.truth_from_odom.transform();
+        run.scan_points.iter().map(|&point| transform.apply(point)).collect()
+    });
+    Ok(Picture {
+        name: "trajectories".into(),
+        title: "Trajectories over the map".into(),
+        caption: format!(
+            "{}, each aligned to the truth; in brackets the root mean square error of the positions. Grey: the scans, at the poses of the \
+             last one.",
+            case_words(results)
+        ),
+        svg: top_view(paths, scan_points)?,
+    })
+}
+
+/// Not the truth's orange.
+fn path_colour(n: usize) -> Colour {
+    [Colour::Vermilion, Colour::Purple, Colour::Green, Colour::Blue][n % SHOWN_VALUES]
+}
+
+/// A trajectory as (seconds since the first scan, aligned pose, true pose).
+fn aligned(results: &Results, run: &Run) -> Vec<(f64, Pose2, Pose2)> {
+    let start = run.scans.first().map(|scan| scan.stamp).unwrap_or_default();
+    let aligned = run.scans.iter().filter_map(|scan| {
+        let truth = results.truth.interpolated(scan.stamp).filter(|_| scan.error.is_some())?;
+        Some((scan.stamp.seconds_since(start), run.truth_from_odom * scan.odom_from_base, truth))
+    });
+    aligned.collect()
+}
+
+/// Panels of x, y and theta over time.
+fn pose_panels(labels: [&str; 3], height: u32, curves: Vec<(String, Look, Vec<(f64, [f64; 3])>)>) -> Vec<Panel> {
+    let series = |k: usize| {
+        let of = |(name, look, points): &(String, Look, Vec<(f64, [f64; 3])>)| Series {
+            name: name.clone(),
+            look: *look,
+            points: points.iter().map(|(t, values)| (*t, values[k])).collect(),
+        };
+        curves.iter().map(of).collect()
+    };
+    (0..3).map(|k| panel("time [s]", labels[k], (Scale::Linear, Scale::Linear), height, series(k))).collect()
+}
+
+fn poses(results: &Results) -> Result<Picture, ProfileError> {
+    let unwrapped = |poses: Vec<(f64, Pose2)>| {
+        let mut heading: Option<f64> = None;
+        let values = poses.into_iter().map(|(t, pose)| {
+            let unwrapped = heading.map_or(pose.theta, |before| before + wrap_angle(pose.theta - before));
+            heading = Some(unwrapped);
+            (t, [pose.x, pose.y, unwrapped.to_degrees()])
+        });
+        values.collect::<Vec<_>>()
+    };
+    let mut all = Vec::new();
+    for (n, &i) in shown(results).iter().enumerate() {
+        let poses = aligned(results, &results.first_runs[i]);
+        if n == 0 {
+            let truth = poses.iter().map(|(t, _, truth)| (*t, *truth)).collect();
+            all.push(("truth".to_owned(), Look::line(Colour::Orange, 8), unwrapped(truth)));
+        }
+        let estimate = poses.iter().map(|(t, pose, _)| (*t, *pose)).collect();
+        all.push((case_name(&results.cases[i]), Look::line(path_colour(n), 3), unwrapped(estimate)));
+    }
+    Ok(Picture {
+        name: "poses".into(),
+        title: "Pose by pose".into(),
+        caption: format!("{} against the truth, aligned; headings count whole turns.", case_words(results)),
+        svg: curves(&pose_panels(["x [m]", "y [m]", "theta [deg]"], 300, all))?,
+    })
+}
+
+fn pose_errors(results: &Results) -> Result<Picture, ProfileError> {
+    let chosen = shown(results);
+    let all = chosen.iter().enumerate().map(|(n, &i)| {
+        let error = |(t, pose, truth): (f64, Pose2, Pose2)| {
+            (t, [1e3 * (pose.x - truth.x), 1e3 * (pose.y - truth.y), wrap_angle(pose.theta - truth.theta).to_degrees()])
+        };
+        let errors = aligned(results, &results.first_runs[i]).into_iter().map(error).collect();
+        (case_name(&results.cases[i]), Look::line(path_colour(n), 3), errors)
+    });
+    Ok(Picture {
+        name: "pose_errors".into(),
+        title: "Errors, pose by pose".into(),
+        caption: "The same poses less the true ones, in the frame of the truth.".into(),
+        svg: curves(&pose_panels(["x error [mm]", "y error [mm]", "theta error [deg]"], 300, all.collect()))?,
+    })
+}
+
+fn delay_by_iterations(results: &Results) -> Result<Picture, ProfileError> {
+    let of_search = |&search: &Correspondence| {
+        let costs: Vec<_> = results.costs.iter().filter(|cost| cost.variant.search == search).collect();
+        let most = costs.iter().flat_map(|cost| &cost.levels).map(|level| level.iterations).max()?;
+        let series = costs.into_iter().flat_map(|cost| {
+            let look = look(cost.variant);
+            let points = cost.levels.iter().map(|level| (f64::from(level.iterations), level.delay_us)).collect();
+            let line = cost.model.map(|model| {
+                let at = |n: f64| (n, model.setup_us + model.per_iteration_us * n);
+                vec![at(0.0), at(f64::from(most))]
+            });
+            [
+                Series { name: String::new(), look: Look { mark: Mark::None, ..look }, points: line.unwrap_or_default() },
+                Series { name: String::new(), look: Look { dash: Dash::None, mark_radius: 11, ..look }, points },
+            ]
+        });
+        let series = solver_legend(results).into_iter().chain(series).collect();
+        let label = format!("{} [us]", search.name());
+        Some(panel("iterations", &label, (Scale::FromZero, Scale::FromZero), 320, series))
+    };
+    let panels: Vec<Panel> = Correspondence::ALL.iter().filter_map(of_search).collect();
+    Ok(Picture {
+        name: "delay_by_iterations".into(),
+        title: "Delay by iterations, and the fitted cost".into(),
+        caption: "Signs: the median delay of all answers that took so many iterations. Lines: setup plus so much per iteration, by the \
+                  weighted median of slopes, which answers that were held up do not move."
+            .into(),
+        svg: curves(&panels)?,
+    })
+}
+
+/// Every match of a sample as a thin line, and their median: a match that has ended keeps its last value.
+fn descents(results: &Results) -> Result<Picture, ProfileError> {
+    let search = results.showcase().first().map(|&i| results.cases[i].case.variant.search);
+    let of_solver = |solver: &SolverKind| {
+        let of_solver = results
+            .cases
+            .iter()
+            .zip(&results.first_runs)
+            .filter(|(case, _)| Some(case.case.variant.search) == search && case.case.variant.solver == *solver);
+        // The run that stopped matches least.
+        let run = of_solver.map(|(_, run)| run).max_by_key(|run| run.descents.iter().map(Vec::len).sum::<usize>())?;
+        let in_mm =
+            |residuals: &[f64]| -> Vec<(f64, f64)> { (1..).map(f64::from).zip(residuals.iter().map(|r| 1e3 * r)).collect() };
+        let thin = Look { opacity: 0.6, ..Look::line(Colour::Grey, 2) };
+        let mut series: Vec<Series> =
+            run.descents.iter().map(|descent| Series { name: "a match".into(), look: thin, points: in_mm(descent) }).collect();
+        let look = Look { mark: Mark::Disc, ..Look::line(colour(position(SolverKind::ALL, solver)), 5) };
+        series.push(Series { name: format!("median, {}", solver.name()), look, points: in_mm(&median_descent(&run.descents)) });
+        Some(panel("iteration", "mean residual [mm]", (Scale::Linear, Scale::Logarithmic), 320, series))
+    };
+    let panels: Vec<Panel> = SolverKind::ALL.iter().filter_map(of_solver).collect();
+    Ok(Picture {
+        name: "residual_by_iteration".into(),
+        title: "The metric, iteration by iteration".into(),
+        caption: "Mean absolute error of the inliers before each iteration: each thin line is a match, of a sample spread over the drive; \
+                  thick is the median, for which a match that has ended keeps its last value."
+            .into(),
+        svg: curves(&panels)?,
+    })
+}
+
+fn median_descent(descents: &[Vec<f64>]) -> Vec<f64> {
+    let longest = descents.iter().map(Vec::len).max().unwrap_or(0);
+    let at = |i: usize| {
+        let mut values: Vec<f64> = descents.iter().filter_map(|descent| descent.get(i).or(descent.last()).copied()).collect();
+        values.sort_by(f64::total_cmp);
+        percentile(&values, 50)
+    };
+    (0..longest).filter_map(at).collect()
+}
+
+fn search_times(results: &Results) -> Result<Picture, ProfileError> {
+    let of_search = |&search: &Correspondence| {
+        let times = results.search_times.iter().filter(|time| time.search == search);
+        let style = look(Variant { search, solver: SolverKind::PointToLine });
+        Series {
+            name: search.name().into(),
+            look: Look { colour: colour(position(Correspondence::ALL, &search)), ..style },
+            points: times.map(|time| (time.beams as f64, time.time_us)).collect(),
+        }
+    };
+    let series = Correspondence::ALL.iter().map(of_search).collect();
+    let panels = [panel("beams", "time of a search [us]", (Scale::Logarithmic, Scale::Logarithmic), 640, series)];
+    Ok(Picture {
+        name: "search_time".into(),
+        title: "Brute force against jump table and k-d tree".into(),
+        caption: "One search for all points of a scan in the scan before it, at all beams and at each half of them; medians over pairs \
+                  spread over the drive, starting from nothing, the reference prepared before."
+            .into(),
+        svg: curves(&panels)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_median_descent_keeps_matches_that_have_ended() {
+        assert_eq!(median_descent(&[vec![5.0, 1.0], vec![6.0, 4.0, 2.0], vec![7.0, 5.0, 3.0]]), [6.0, 4.0, 2.0]);
+        assert!(median_descent(&[]).is_empty());
+    }
+
+    #[test]
+    fn twelve_variants_look_different() {
+        let looks: Vec<Look> = Variant::all().into_iter().map(look).collect();
+        for (i, one) in looks.iter().enumerate() {
+            assert!(looks[i + 1..].iter().all(|other| other != one), "{one:?}");
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! What is to be run, and in which order.
+
+use rand::seq::SliceRandom;
+use rand_pcg::Pcg64;
+
+use super::knob::Knob;
+use super::variant::Variant;
+use crate::config::{Config, ConfigError};
+
+/// A variant with one knob turned to one value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Case {
+    /// The variant.
+    pub variant: Variant,
+    /// The knob.
+    pub knob: Knob,
+    /// Its value, in its unit.
+    pub value: f64,
+}
+
+impl Case {
+    /// The configuration of the case: `base` with the variant and the value set.
+    pub fn config(&self, base: &Config) -> Result<Config, ConfigError> {
+        let mut config = base.clone();
+        self.variant.set(&mut config);
+        self.knob.set(&mut config, self.value)?;
+        Ok(config)
+    }
+}
+
+/// A knob and the values to try; `None`: the knob's own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sweep {
+    /// The knob.
+    pub knob: Knob,
+    /// Its values, in its unit.
+    pub values: Option<Vec<f64>>,
+}
+
+/// Every case, run once in every round.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// By variant, knob and value.
+    pub cases: Vec<Case>,
+    /// How often each is run.
+    pub rounds: u32,
+    /// Of the order within the rounds.
+    pub seed: u32,
+}
+
+impl Plan {
+    /// Every variant with every value of every sweep. A value that the configuration refuses is an error here, before anything is run.
+    pub fn new(base: &Config, variants: &[Variant], sweeps: &[Sweep], rounds: u32, seed: u32) -> Result<Self, ConfigError> {
+        let mut cases: Vec<Case> = Vec::new();
+        for &variant in variants {
+            for sweep in sweeps {
+                let knob = sweep.knob;
+                let mut values = sweep.values.clone().unwrap_or_else(|| knob.default_values(variant.search).to_vec());
+                values.sort_by(|a, b| knob.rank(*a).total_cmp(&knob.rank(*b)));
+                cases.extend(values.into_iter().map(|value| Case { variant, knob, value }));
+            }
+        }
+        // A value or variant asked for twice is run once.
+        let mut distinct: Vec<Case> = Vec::new();
+        for case in cases {
+            case.config(base)?;
+            if !distinct.contains(&case) {
+                distinct.push(case);
+            }
+        }
+        Ok(Self { cases: distinct, rounds, seed })
+    }
+
+    /// The order of the cases in a round: another one in each, so that drifts of the machine hit all alike.
+    pub fn order(&self, round: u32) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.cases.len()).collect();
+        order.shuffle(&mut Pcg64::new(self.seed.into(), round.into()));
+        order
+    }
+
+    /// How many runs there are in all.
+    pub fn runs(&self) -> usize {
+        self.cases.len() * self.rounds as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(values: &[f64]) -> Result<Plan, ConfigError> {
+        let sweep = Sweep { knob: Knob::MaxIterations, values: Some(values.to_vec()) };
+        Plan::new(&Config::default(), &Variant::all(), &[sweep], 3, 7)
+    }
+
+    #[test]
+    fn every_round_runs_every_case_once_in_an_order_of_its_own() {
+        let plan = plan(&[8.0, 1.0, 8.0]).unwrap();
+        assert_eq!((plan.cases.len(), plan.runs()), (24, 72));
+        assert_eq!((plan.cases[0].value, plan.cases[1].value), (1.0, 8.0));
+        let (first, second) = (plan.order(0), plan.order(1));
+        assert_ne!(first, second);
+        for mut order in [first, second] {
+            order.sort_unstable();
+            assert_eq!(order, (0..24).collect::<Vec<_>>());
+        }
+        assert_eq!(plan.order(2), plan.order(2));
+    }
+
+    #[test]
+    fn a_value_out_of_range_is_refused_before_anything_is_run() {
+        let problem = plan(&[4.0, 0.0]).unwrap_err().to_string();
+        assert!(problem.contains("matching.max_iterations") && problem.contains("1 to 1000"), "{problem}");
+        assert!(plan(&[1.5]).is_err());
+    }
+}

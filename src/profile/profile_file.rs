@@ -1,0 +1,300 @@
+//! `profile.yaml`: what error to expect of a time budget, for the node and for planners.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::cost::CostModel;
+use super::knob::Knob;
+use super::summary::CaseSummary;
+use crate::knobs::{Value, nearest_name};
+
+/// The expected error of every variant, and the data it was measured on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Profile {
+    /// Where the figures come from.
+    pub provenance: Provenance,
+    /// By the variant's name.
+    pub variants: BTreeMap<String, VariantProfile>,
+}
+
+/// What the figures were measured with and on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Version of this program.
+    pub version: String,
+    /// The bag.
+    pub bag: String,
+    /// Topic of the scans.
+    pub scan_topic: String,
+    /// Topic of the wheel odometry, if there is any.
+    pub odometry_topic: Option<String>,
+    /// File or topic of the true poses.
+    pub truth: String,
+    /// What the errors are.
+    pub error: String,
+    /// Scans of the bag.
+    pub scans: usize,
+    /// Beams of a scan.
+    pub beams: usize,
+    /// Runs of each case.
+    pub rounds: u32,
+    /// Seed of the order of the runs, and of a simulated drive.
+    pub seed: u32,
+    /// The clock that delays were measured by.
+    pub clock: String,
+    /// Parameters that were not at their defaults.
+    pub parameters: BTreeMap<String, Value>,
+}
+
+/// What to expect of one variant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct VariantProfile {
+    /// The knob whose runs the budgets are: `time_budget`, or another one whose delay at percentile 99 stands for the budget.
+    pub measured_by: String,
+    /// Delay without any iteration, us, on the machine of the study.
+    pub setup_us: Option<f64>,
+    /// Delay of each iteration, us, on the machine of the study.
+    pub per_iteration_us: Option<f64>,
+    /// By rising budget.
+    pub budgets: Vec<Budget>,
+}
+
+/// A time budget and what came of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Budget {
+    /// The budget, s.
+    pub delta_s: f64,
+    /// The error to expect.
+    #[serde(flatten)]
+    pub error: ExpectedError,
+}
+
+/// Errors to expect of a pose. They never rise with the budget: who has more time can stop where less would have.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExpectedError {
+    /// Of the position, mean, m.
+    pub position_mean_m: f64,
+    /// Of the position, at percentile 95, m.
+    pub position_p95_m: f64,
+    /// Of the orientation, mean, rad.
+    pub orientation_mean_rad: f64,
+    /// Of the orientation, at percentile 95, rad.
+    pub orientation_p95_rad: f64,
+}
+
+/// Why a profile is of no use.
+#[derive(Debug, Error)]
+pub enum ProfileFileError {
+    /// The file cannot be read.
+    #[error("cannot read the profile {}: {source} (`anytime profile` writes one)", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The file is no profile.
+    #[error("{}: this is no profile: {problem} (`anytime profile` writes one)", path.display())]
+    NotAProfile {
+        /// The file.
+        path: PathBuf,
+        /// What does not fit.
+        problem: String,
+    },
+    /// The profile says nothing of this variant.
+    #[error("the profile has no variant '{name}'{hint}; it has: {known}")]
+    NoSuchVariant {
+        /// The variant asked for.
+        name: String,
+        /// The one that may have been meant.
+        hint: String,
+        /// All that it has.
+        known: String,
+    },
+}
+
+impl Profile {
+    /// Reads and checks a profile.
+    pub fn load(path: &Path) -> Result<Self, ProfileFileError> {
+        let text = std::fs::read_to_string(path).map_err(|source| ProfileFileError::Unreadable { path: path.into(), source })?;
+        Self::from_yaml(&text).map_err(|problem| ProfileFileError::NotAProfile { path: path.into(), problem })
+    }
+
+    /// Reads and checks the text of a profile; the error says what does not fit.
+    pub fn from_yaml(text: &str) -> Result<Self, String> {
+        let profile: Self = serde_saphyr::from_str(text).map_err(|error| error.to_string())?;
+        for (name, variant) in &profile.variants {
+            variant.check().map_err(|problem| format!("{name}: {problem}"))?;
+        }
+        Ok(profile)
+    }
+
+    /// The text of the profile.
+    pub fn to_yaml(&self) -> Result<String, String> {
+        serde_saphyr::to_string(self).map_err(|error| error.to_string())
+    }
+
+    /// What there is on a variant, such as `jump_table+point_to_line`.
+    pub fn variant(&self, name: &str) -> Result<&VariantProfile, ProfileFileError> {
+        self.variants.get(name).ok_or_else(|| {
+            let known: Vec<&str> = self.variants.keys().map(String::as_str).collect();
+            let hint =
+                nearest_name(name, known.iter().copied()).map_or_else(String::new, |near| format!(" (did you mean '{near}'?)"));
+            ProfileFileError::NoSuchVariant { name: name.into(), hint, known: known.join(", ") }
+        })
+    }
+}
+
+impl VariantProfile {
+    /// From the cases of one variant that turn one knob; `None` without any.
+    pub(super) fn of(cases: &[&CaseSummary], cost: Option<CostModel>) -> Option<Self> {
+        let knob = cases.first()?.case.knob;
+        let delta_s = |summary: &CaseSummary| match knob {
+            Knob::TimeBudget if summary.case.value > 0.0 => summary.case.value,
+            _ => summary.figures.delay.p99 * 1e-6,
+        };
+        let mut budgets: Vec<Budget> = cases
+            .iter()
+            .map(|summary| {
+                let (position, orientation) = (summary.figures.position, summary.figures.orientation);
+                let error = ExpectedError {
+                    position_mean_m: position.mean,
+                    position_p95_m: position.p95,
+                    orientation_mean_rad: orientation.mean,
+                    orientation_p95_rad: orientation.p95,
+                };
+                Budget { delta_s: delta_s(summary), error }
+            })
+            .collect();
+        budgets.sort_by(|a, b| a.delta_s.total_cmp(&b.delta_s));
+        budgets.dedup_by_key(|budget| budget.delta_s);
+        for figure in FIGURES {
+            let mut values: Vec<f64> = budgets.iter_mut().map(|budget| *figure(&mut budget.error)).collect();
+            make_falling(&mut values);
+            for (budget, value) in budgets.iter_mut().zip(values) {
+                *figure(&mut budget.error) = value;
+            }
+        }
+        let (setup_us, per_iteration_us) = cost.map(|cost| (cost.setup_us, cost.per_iteration_us)).unzip();
+        Some(Self { measured_by: knob.name().into(), setup_us, per_iteration_us, budgets })
+    }
+
+    /// The error to expect within a budget: on the line between the budgets measured; beyond the longest that of the longest. `None` below
+    /// the shortest: of that nothing is known.
+    pub fn expected_error(&self, delta: Duration) -> Option<ExpectedError> {
+        let delta = delta.as_secs_f64();
+        let next = self.budgets.partition_point(|budget| budget.delta_s <= delta);
+        let before = self.budgets.get(next.checked_sub(1)?)?;
+        let Some(after) = self.budgets.get(next) else { return Some(before.error) };
+        let fraction = (delta - before.delta_s) / (after.delta_s - before.delta_s);
+        let mut error = before.error;
+        let mut later = after.error;
+        for figure in FIGURES {
+            *figure(&mut error) += fraction * (*figure(&mut later) - *figure(&mut error));
+        }
+        Some(error)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.budgets.is_empty() {
+            return Err("it has no budgets".into());
+        }
+        let mut longest = 0.0;
+        let mut errors: Option<ExpectedError> = None;
+        for Budget { delta_s, mut error } in self.budgets.iter().copied() {
+            if !(delta_s.is_finite() && delta_s > longest) {
+                return Err(format!("delta_s {delta_s} is not a number of seconds above the {longest} before it"));
+            }
+            for figure in FIGURES {
+                let most = errors.as_mut().map_or(f64::MAX, |errors| *figure(errors));
+                let value = *figure(&mut error);
+                if !(0.0..=most).contains(&value) {
+                    return Err(format!(
+                        "at delta_s {delta_s} an error is {value}: it must be 0 or more, and not above that of less time"
+                    ));
+                }
+            }
+            (longest, errors) = (delta_s, Some(error));
+        }
+        Ok(())
+    }
+}
+
+/// Each figure of an expected error.
+const FIGURES: [fn(&mut ExpectedError) -> &mut f64; 4] =
+    [|e| &mut e.position_mean_m, |e| &mut e.position_p95_m, |e| &mut e.orientation_mean_rad, |e| &mut e.orientation_p95_rad];
+
+/// The falling sequence nearest to `values` by least squares: neighbours that rise are pooled at their mean (M. Ayer et al., Annals of
+/// Mathematical Statistics 1955). Taking the least value so far instead would promise what chance alone gave.
+fn make_falling(values: &mut [f64]) {
+    let mut pools: Vec<(f64, usize)> = Vec::new();
+    for &value in values.iter() {
+        let mut pool = (value, 1);
+        while let Some((mean, count)) = pools.pop_if(|(mean, _)| *mean <= pool.0) {
+            // Equal ones keep their value to the last bit.
+            let pooled = mean + (pool.0 - mean) * pool.1 as f64 / (count + pool.1) as f64;
+            pool = (pooled, count + pool.1);
+        }
+        pools.push(pool);
+    }
+    let pooled = pools.into_iter().flat_map(|(mean, count)| std::iter::repeat_n(mean, count));
+    values.iter_mut().zip(pooled).for_each(|(value, pooled)| *value = pooled);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn variant(errors: &[(f64, f64)]) -> VariantProfile {
+        let budget = |&(delta_s, e): &(f64, f64)| Budget {
+            delta_s,
+            error: ExpectedError {
+                position_mean_m: e,
+                position_p95_m: 2.0 * e,
+                orientation_mean_rad: 0.1 * e,
+                orientation_p95_rad: 0.2 * e,
+            },
+        };
+        VariantProfile {
+            measured_by: "time_budget".into(),
+            setup_us: None,
+            per_iteration_us: None,
+            budgets: errors.iter().map(budget).collect(),
+        }
+    }
+
+    #[test]
+    fn between_budgets_lies_a_line_and_beyond_them_no_promise() {
+        let variant = variant(&[(0.001, 0.5), (0.002, 0.3), (0.004, 0.2)]);
+        let at = |ms: f64| variant.expected_error(Duration::from_secs_f64(ms * 1e-3)).map(|e| e.position_mean_m);
+        assert_eq!([at(0.5), at(1.0), at(4.0), at(1000.0)], [None, Some(0.5), Some(0.2), Some(0.2)]);
+        assert!((at(1.5).unwrap() - 0.4).abs() < 1e-12 && (at(3.0).unwrap() - 0.25).abs() < 1e-12);
+    }
+
+    #[test]
+    fn errors_that_rise_are_pooled() {
+        let falling = |values: &[f64]| {
+            let mut values = values.to_vec();
+            make_falling(&mut values);
+            values
+        };
+        assert_eq!(falling(&[5.0, 3.0, 1.0]), [5.0, 3.0, 1.0]);
+        assert_eq!(falling(&[1.0, 3.0, 0.5]), [2.0, 2.0, 0.5]);
+        assert_eq!(falling(&[1.0, 2.0, 6.0]), [3.0, 3.0, 3.0]);
+        assert_eq!(falling(&[0.1, 0.1, 0.1]), [0.1, 0.1, 0.1]);
+        assert_eq!(falling(&[]), [0.0; 0]);
+    }
+
+    #[test]
+    fn a_damaged_profile_is_refused() {
+        assert!(variant(&[(0.001, 0.5), (0.002, 0.3)]).check().is_ok());
+        for bad in [&[][..], &[(0.002, 0.5), (0.001, 0.3)], &[(0.001, 0.3), (0.002, 0.5)], &[(0.001, f64::NAN)], &[(0.0, 1.0)]] {
+            assert!(variant(bad).check().is_err(), "{bad:?}");
+        }
+        assert!(Profile::from_yaml("a: 1\n").is_err());
+    }
+}

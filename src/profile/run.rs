@@ -1,0 +1,136 @@
+//! One run: the whole bag through the application with one configuration, every answer compared with the truth.
+
+use std::sync::Arc;
+
+use super::ProfileError;
+use crate::anytime::clock::Clock;
+use crate::app::{App, Estimate};
+use crate::config::Config;
+use crate::evaluation::association::{MatchedPose, associate};
+use crate::evaluation::ate::ate;
+use crate::evaluation::report::Comparison;
+use crate::evaluation::rpe::rpe;
+use crate::evaluation::trajectory::{StampedPose, Trajectory};
+use crate::geometry::{Point, Pose2};
+use crate::io::bag::Bag;
+use crate::replay::map_sketch::MapSketch;
+use crate::replay::{Topics, microseconds, replay};
+use crate::time::Stamp;
+
+/// Matches whose descent is kept.
+const KEPT_DESCENTS: u64 = 200;
+
+/// The data of a study.
+#[derive(Clone, Copy)]
+pub struct Input<'a> {
+    /// The drive.
+    pub bag: &'a Bag,
+    /// What is read of it.
+    pub topics: &'a Topics,
+    /// What its answers are compared with.
+    pub truth: &'a Trajectory,
+}
+
+/// The answer to one scan, and how good it was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScanRecord {
+    /// The scan's stamp.
+    pub stamp: Stamp,
+    /// The pose answered.
+    pub odom_from_base: Pose2,
+    /// Whether it is by a match (or the first one), not a prediction for want of one.
+    pub matched: bool,
+    /// From the scan's arrival to its answer, us.
+    pub delay_us: f64,
+    /// Iterations made.
+    pub iterations: u32,
+    /// Mean absolute error of the last iteration's inliers, m; `None` when there was no match.
+    pub mean_residual: Option<f64>,
+    /// The aligned pose seen from the true one; `None` where no truth is near in time.
+    pub error: Option<Pose2>,
+}
+
+/// What a run has found.
+#[derive(Clone, Debug, Default)]
+pub struct Run {
+    /// Every scan, in order.
+    pub scans: Vec<ScanRecord>,
+    /// The alignment of the errors: that of the ATE.
+    pub truth_from_odom: Pose2,
+    /// Drift per metre of the true path, root mean square: m and rad. `None` on paths of less than a metre.
+    pub drift: Option<(f64, f64)>,
+    /// The mean residual before each iteration, m, of a sample of the matches.
+    pub descents: Vec<Vec<f64>>,
+    /// Points of the scans, m, in the odom frame; none unless asked for.
+    pub scan_points: Vec<Point>,
+    /// Beams of the first scan.
+    pub beams: usize,
+}
+
+/// Runs the bag. `keep_points`: collect points of the scans for a map.
+pub fn run(
+    input: Input,
+    config: &Config,
+    clock: &Arc<dyn Clock>,
+    keep_points: bool,
+    on_message: impl FnMut(),
+) -> Result<Run, ProfileError> {
+    let mut app = App::new(config, Arc::clone(clock))?;
+    let mut sketch = MapSketch::default();
+    let mut run = Run::default();
+    let scans = input.bag.message_count(Some(&[&input.topics.scan]));
+    let every = usize::try_from(scans.div_ceil(KEPT_DESCENTS)).unwrap_or(1).max(1);
+    replay::<ProfileError>(input.bag, input.topics, &mut app, &**clock, on_message, |message, estimate, app| {
+        if run.scans.is_empty() {
+            run.beams = message.ranges.len();
+        }
+        if run.scans.len().is_multiple_of(every) && !app.iterations().is_empty() {
+            run.descents.push(app.iterations().iter().map(|iteration| iteration.mean_residual).collect());
+        }
+        if keep_points {
+            sketch.add(message, estimate, app);
+        }
+        run.scans.push(record(estimate));
+        Ok(())
+    })?;
+    run.scan_points = sketch.points().to_vec();
+    run.compare(input.truth)?;
+    Ok(run)
+}
+
+fn record(estimate: &Estimate) -> ScanRecord {
+    let registration = &estimate.registration;
+    ScanRecord {
+        stamp: estimate.stamp,
+        odom_from_base: registration.odom_from_base,
+        matched: registration.outcome.is_ok(),
+        delay_us: microseconds(estimate.elapsed),
+        iterations: registration.refinement.map_or(0, |r| r.iterations),
+        mean_residual: registration.refinement.map(|r| r.mean_residual),
+        error: None,
+    }
+}
+
+impl Run {
+    /// The trajectory answered.
+    pub fn trajectory(&self) -> Result<Trajectory, ProfileError> {
+        let poses = self.scans.iter().map(|scan| StampedPose { stamp: scan.stamp, pose: scan.odom_from_base });
+        Ok(Trajectory::new(poses.collect())?)
+    }
+
+    /// Fills in the errors, as `anytime evaluate` finds them: after the rigid motion that lays the trajectory onto the truth.
+    fn compare(&mut self, truth: &Trajectory) -> Result<(), ProfileError> {
+        let matched = associate(&self.trajectory()?, truth, Comparison::default().max_dt)?;
+        let Some(ate) = ate(&matched) else { return Ok(()) };
+        let truth_of = |stamp: Stamp| -> Option<&MatchedPose> {
+            matched.binary_search_by_key(&stamp, |m| m.stamp).ok().and_then(|i| matched.get(i))
+        };
+        for scan in &mut self.scans {
+            let pair = truth_of(scan.stamp).map(|m| MatchedPose { estimate: scan.odom_from_base, ..*m });
+            scan.error = pair.map(|pair| ate.error(&pair));
+        }
+        self.truth_from_odom = ate.truth_from_estimate;
+        self.drift = rpe(&matched, 1.0).map(|drift| (drift.trans_m.rmse, drift.rot_deg.rmse.to_radians()));
+        Ok(())
+    }
+}

@@ -1,0 +1,108 @@
+//! Time of one correspondence search, by number of beams and kind of search.
+
+use super::ProfileError;
+use crate::anytime::clock::Clock;
+use crate::evaluation::statistics::percentile;
+use crate::geometry::Point;
+use crate::io::bag::Bag;
+use crate::matching::correspondence::{Correspondence, Nearest};
+use crate::matching::reference::Reference;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::replay::microseconds;
+use crate::scan::{MIN_BEAMS, Scan, ScanConverter};
+
+/// Pairs of consecutive scans, spread over the bag.
+const PAIRS: u64 = 12;
+/// Searches timed of each pair, beam count and kind.
+const REPEATS: usize = 5;
+
+/// The median time of a search over all points of a scan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SearchTime {
+    /// The search.
+    pub search: Correspondence,
+    /// Beams of both scans.
+    pub beams: usize,
+    /// Median over pairs and repeats, us.
+    pub time_us: f64,
+}
+
+/// Times every search on pairs of consecutive scans, at all beams and at each half of them. Every search starts from nothing, as that of
+/// a match's first iteration does; the reference is prepared before.
+pub fn measure(bag: &Bag, scan_topic: &str, max_distance: f64, clock: &dyn Clock) -> Result<Vec<SearchTime>, ProfileError> {
+    let pairs = pairs(bag, scan_topic)?;
+    let mut converter = ScanConverter::default();
+    let mut times = Vec::new();
+    for stride in (0..).map(|halvings| 1_usize << halvings) {
+        let beams = pairs.first().map_or(0, |(first, _)| first.ranges.len() / stride);
+        if beams < 2 * MIN_BEAMS {
+            break;
+        }
+        let mut sub_sampled = |message: &LaserScan| converter.convert(&every(message, stride), false).ok();
+        let scans: Vec<(Scan, Scan)> =
+            pairs.iter().filter_map(|(first, second)| Some((sub_sampled(first)?, sub_sampled(second)?))).collect();
+        let mut samples = vec![Vec::new(); Correspondence::ALL.len()];
+        for (first, second) in &scans {
+            time_pair(first, second, max_distance, clock, &mut samples);
+        }
+        for (&search, mut samples) in Correspondence::ALL.iter().zip(samples) {
+            samples.sort_by(f64::total_cmp);
+            times.extend(percentile(&samples, 50).map(|time_us| SearchTime { search, beams, time_us }));
+        }
+    }
+    Ok(times)
+}
+
+/// Adds times to the samples of each search. The searches take turns: what slows the machine down hits all alike.
+fn time_pair(first: &Scan, second: &Scan, max_distance: f64, clock: &dyn Clock, samples: &mut [Vec<f64>]) {
+    let mut reference = Reference::default();
+    reference.set(first);
+    let points: Vec<Point> = second.rays().map(|(_, direction, range)| direction * range).collect();
+    let mut searches: Vec<_> = Correspondence::ALL.iter().map(|kind| kind.search()).collect();
+    searches.iter_mut().for_each(|search| search.prepare(&reference));
+    let mut nearest = vec![Nearest::NONE; points.len()];
+    for _ in 0..REPEATS {
+        for (search, samples) in searches.iter().zip(samples.iter_mut()) {
+            nearest.fill(Nearest::NONE);
+            let start = clock.now();
+            search.find(&reference, &points, max_distance, &mut nearest);
+            samples.push(microseconds(clock.now().saturating_sub(start)));
+        }
+    }
+}
+
+/// Pairs of consecutive scans, spread over the bag.
+fn pairs(bag: &Bag, scan_topic: &str) -> Result<Vec<(LaserScan, LaserScan)>, ProfileError> {
+    let every = (bag.message_count(Some(&[scan_topic])) / PAIRS).max(2);
+    let mut pairs = Vec::new();
+    let mut first = None;
+    for (i, message) in (0_u64..).zip(bag.messages(Some(&[scan_topic]))) {
+        let position = i % every;
+        if position > 1 {
+            continue;
+        }
+        let scan: Option<LaserScan> = message?.decode().ok();
+        match (position, first.take(), scan) {
+            (0, _, scan) => first = scan,
+            (_, Some(first), Some(second)) if first.ranges.len() == second.ranges.len() => pairs.push((first, second)),
+            _ => {}
+        }
+    }
+    Ok(pairs)
+}
+
+/// Every so many beams of a scan.
+#[allow(clippy::cast_possible_truncation)] // the wire form has 32 bits
+fn every(message: &LaserScan, stride: usize) -> LaserScan {
+    let ranges: Vec<f32> = message.ranges.iter().step_by(stride).copied().collect();
+    let increment = f64::from(message.angle_increment) * stride as f64;
+    let last = f64::from(message.angle_min) + increment * ranges.len().saturating_sub(1) as f64;
+    LaserScan {
+        angle_increment: increment as f32,
+        angle_max: last as f32,
+        time_increment: message.time_increment * stride as f32,
+        ranges,
+        intensities: Vec::new(),
+        ..message.clone()
+    }
+}

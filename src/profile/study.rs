@@ -1,0 +1,217 @@
+//! A study: all runs of a plan, and what they come to.
+
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::cost::{self, CostModel, Level};
+use super::csv_files::{self, RunFiles};
+use super::html;
+use super::knob::Knob;
+use super::pictures;
+use super::plan::Plan;
+use super::profile_file::{Profile, Provenance, VariantProfile};
+use super::run::{Input, Run, run};
+use super::search_time::{self, SearchTime};
+use super::summary::{CaseSummary, Figures};
+use super::variant::Variant;
+use super::{ProfileError, knob};
+use crate::anytime::clock::Clock;
+use crate::config::Config;
+use crate::evaluation::trajectory::Trajectory;
+use crate::matching::correspondence::Correspondence;
+use crate::matching::solver::SolverKind;
+
+/// What the errors of a study are, for those who read its files.
+pub const ERROR_MEANS: &str = "of each pose against the truth interpolated to its stamp, after the one rigid motion that lays the \
+    whole trajectory onto the truth with the least squared distance of the positions (absolute trajectory error, as `anytime evaluate` \
+    has it); it holds the drift of the whole drive";
+
+/// What a study is of.
+pub struct Study<'a> {
+    /// Bag and truth.
+    pub input: Input<'a>,
+    /// What the cases have in common.
+    pub config: &'a Config,
+    /// The cases.
+    pub plan: &'a Plan,
+    /// Makes the clock of a run.
+    pub new_clock: &'a dyn Fn() -> Arc<dyn Clock>,
+    /// Names for the records.
+    pub names: Names,
+}
+
+/// What the data are called in the records of a study.
+#[derive(Clone, Debug)]
+pub struct Names {
+    /// The bag.
+    pub bag: String,
+    /// The true poses: file or topic.
+    pub truth: String,
+    /// The clock.
+    pub clock: String,
+    /// The command that asked for the study.
+    pub command: String,
+}
+
+/// Delay against iterations of one variant.
+#[derive(Clone, Debug)]
+pub struct VariantCost {
+    /// The variant.
+    pub variant: Variant,
+    /// Median delays.
+    pub levels: Vec<Level>,
+    /// The line through them.
+    pub model: Option<CostModel>,
+}
+
+/// What a study has found.
+pub struct Results {
+    /// By variant, knob and value.
+    pub cases: Vec<CaseSummary>,
+    /// The first run of each case.
+    pub first_runs: Vec<Run>,
+    /// Of each variant.
+    pub costs: Vec<VariantCost>,
+    /// Of each kind of search.
+    pub search_times: Vec<SearchTime>,
+    /// The truth.
+    pub truth: Trajectory,
+    /// Where the figures come from.
+    pub provenance: Provenance,
+}
+
+impl Study<'_> {
+    /// Does all runs and writes all files into `folder`. `on_message` is called for every message read, to show progress.
+    pub fn conduct(&self, folder: &Path, mut on_message: impl FnMut()) -> Result<Results, ProfileError> {
+        fs::create_dir_all(folder).map_err(|error| ProfileError::write(folder, error))?;
+        let mut files = RunFiles::create(folder, self.plan)?;
+        let cases = &self.plan.cases;
+        let mut first_runs = vec![Run::default(); cases.len()];
+        let mut figures = vec![Vec::new(); cases.len()];
+        let mapped = showcase(cases.iter().map(|case| (case.variant, case.knob))).pop();
+        for round in 0..self.plan.rounds {
+            for i in self.plan.order(round) {
+                let config = cases[i].config(self.config)?;
+                let keep_points = round == 0 && Some(i) == mapped;
+                let run = run(self.input, &config, &(self.new_clock)(), keep_points, &mut on_message)?;
+                let of_run = Figures::of(&run);
+                files.add(&cases[i], round, &run, &of_run)?;
+                figures[i].push(of_run);
+                if round == 0 {
+                    first_runs[i] = run;
+                }
+            }
+        }
+        let cases = cases.iter().zip(&figures);
+        let cases: Vec<_> = cases
+            .map(|(&case, rounds)| CaseSummary { case, rounds: self.plan.rounds, figures: Figures::median(rounds) })
+            .collect();
+        let max_distance = self.config.matching.max_correspondence_distance;
+        let clock = (self.new_clock)();
+        let results = Results {
+            costs: costs(&cases, &first_runs),
+            search_times: search_time::measure(self.input.bag, &self.input.topics.scan, max_distance, &*clock)?,
+            truth: self.input.truth.clone(),
+            provenance: self.provenance(&first_runs),
+            cases,
+            first_runs,
+        };
+        self.write(folder, &results)?;
+        Ok(results)
+    }
+
+    fn provenance(&self, runs: &[Run]) -> Provenance {
+        let names = &self.names;
+        Provenance {
+            version: env!("CARGO_PKG_VERSION").into(),
+            bag: names.bag.clone(),
+            scan_topic: self.input.topics.scan.clone(),
+            odometry_topic: self.input.topics.odometry.clone(),
+            truth: names.truth.clone(),
+            error: ERROR_MEANS.into(),
+            scans: runs.first().map_or(0, |run| run.scans.len()),
+            beams: runs.first().map_or(0, |run| run.beams),
+            rounds: self.plan.rounds,
+            seed: self.plan.seed,
+            clock: names.clock.clone(),
+            parameters: self.config.changes().into_iter().collect(),
+        }
+    }
+
+    fn write(&self, folder: &Path, results: &Results) -> Result<(), ProfileError> {
+        let write = |name: &str, text: &str| {
+            let path = folder.join(name);
+            fs::write(&path, text).map_err(|error| ProfileError::write(&path, error))
+        };
+        csv_files::write_summary(folder.join("summary.csv"), &results.cases)?;
+        let yaml = results.profile().to_yaml();
+        write(
+            "profile.yaml",
+            &yaml.map_err(|error| ProfileError::write(&folder.join("profile.yaml"), std::io::Error::other(error)))?,
+        )?;
+        let pictures = pictures::draw(results)?;
+        for picture in &pictures {
+            write(&format!("{}.svg", picture.name), &picture.svg)?;
+        }
+        write("report.html", &html::report(results, &pictures, &self.names.command))
+    }
+}
+
+impl Results {
+    /// The cases, of one variant and for one turn of a knob each, that stand for the study where a picture cannot show all.
+    pub fn showcase(&self) -> Vec<usize> {
+        showcase(self.cases.iter().map(|summary| (summary.case.variant, summary.case.knob)))
+    }
+
+    /// The variants, in the order of the cases.
+    pub fn variants(&self) -> Vec<Variant> {
+        self.costs.iter().map(|cost| cost.variant).collect()
+    }
+
+    /// The knobs that were turned.
+    pub fn knobs(&self) -> Vec<Knob> {
+        Knob::ALL.iter().copied().filter(|knob| self.cases.iter().any(|summary| summary.case.knob == *knob)).collect()
+    }
+
+    /// The cases of a variant that turn a knob.
+    pub fn of(&self, variant: Variant, knob: knob::Knob) -> Vec<&CaseSummary> {
+        self.cases.iter().filter(|summary| summary.case.variant == variant && summary.case.knob == knob).collect()
+    }
+
+    /// The profile: delays by time budget if that was turned, else by the next best knob.
+    pub fn profile(&self) -> Profile {
+        let variants = self.costs.iter().filter_map(|cost| {
+            let knobs = [Knob::TimeBudget, Knob::MaxIterations, Knob::Beams, Knob::KeyframeDistance];
+            let cases = knobs.iter().map(|&knob| self.of(cost.variant, knob)).find(|cases| !cases.is_empty())?;
+            Some((cost.variant.to_string(), VariantProfile::of(&cases, cost.model)?))
+        });
+        Profile { provenance: self.provenance.clone(), variants: variants.collect() }
+    }
+}
+
+/// The cases of the first knob of the default variant, or of the first variant where the default one is not among them.
+fn showcase(cases: impl Iterator<Item = (Variant, Knob)>) -> Vec<usize> {
+    let cases: Vec<_> = cases.collect();
+    let default = Variant { search: Correspondence::JumpTable, solver: SolverKind::PointToLine };
+    let Some(&chosen) = cases.iter().find(|case| case.0 == default).or(cases.first()) else { return Vec::new() };
+    (0..cases.len()).filter(|&i| cases[i] == chosen).collect()
+}
+
+/// Delay against iterations, of all runs that use every ray.
+fn costs(cases: &[CaseSummary], runs: &[Run]) -> Vec<VariantCost> {
+    let mut variants: Vec<Variant> = cases.iter().map(|summary| summary.case.variant).collect();
+    variants.dedup();
+    let answers = |variant: Variant| {
+        let of_variant = move |summary: &CaseSummary| summary.case.variant == variant && summary.case.knob != Knob::Beams;
+        let runs = cases.iter().zip(runs).filter(move |(summary, _)| of_variant(summary)).map(|(_, run)| run);
+        runs.flat_map(|run| &run.scans).filter(|scan| scan.iterations > 0).map(|scan| (scan.iterations, scan.delay_us))
+    };
+    variants
+        .into_iter()
+        .map(|variant| {
+            let levels = cost::levels(answers(variant));
+            VariantCost { variant, model: cost::fit(&levels), levels }
+        })
+        .collect()
+}
