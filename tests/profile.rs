@@ -158,7 +158,7 @@ fn mistakes_are_named_with_their_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out").to_str().unwrap().to_owned();
     let profile = |more: &[&str], code| failure(&[&["profile", "--out", &out], more].concat(), code);
-    let no_truth = profile(&["bags/demo.bag"], 1);
+    let no_truth = profile(&["bags/demo.bag", "--knob", "max_iterations"], 1);
     assert!(no_truth.contains("--truth") && no_truth.contains("/gt_pose"), "{no_truth}");
     let knob = profile(&["bags/demo.bag", "--knob", "max_iteration"], 2);
     assert!(knob.contains("max_iterations | time_budget"), "{knob}");
@@ -173,11 +173,14 @@ fn mistakes_are_named_with_their_remedy() {
     profile(&["bags/demo.bag", "--speed", "3"], 2);
     profile(&["bags/demo.bag", "--values", "3"], 2);
     profile(&["bags/demo.bag", "--rounds", "0"], 2);
-    let no_file = profile(&["bags/demo.bag", "--truth", "no/such.tum"], 1);
+    let two_knobs = profile(&["bags/demo.bag", "--knob", "beams", "--knob", "max_iterations", "--values", "3"], 1);
+    assert!(two_knobs.contains("--values"), "{two_knobs}");
+    let no_file = profile(&["bags/demo.bag", "--knob", "max_iterations", "--truth", "no/such.tum"], 1);
     assert!(no_file.contains("no/such.tum"), "{no_file}");
     let blocked = folder.path().join("file");
     fs::write(&blocked, "").unwrap();
     let blocked = blocked.to_str().unwrap();
-    let no_folder = failure(&["profile", "bags/demo.bag", "--truth", "/gt_pose", "--out", blocked], 1);
+    let no_folder =
+        failure(&["profile", "bags/demo.bag", "--knob", "max_iterations", "--truth", "/gt_pose", "--out", blocked], 1);
     assert!(no_folder.contains(blocked), "{no_folder}");
 }

@@ -6,7 +6,7 @@ use crate::evaluation::statistics::percentile;
 
 /// What an answer costs.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CostModel {
+pub struct IterationCost {
     /// Delay without any iteration, us.
     pub setup_us: f64,
     /// Delay of each iteration, us.
@@ -41,7 +41,7 @@ pub fn levels(answers: impl IntoIterator<Item = (u32, f64)>) -> Vec<Level> {
 ///
 /// Weighted median of the slopes of all pairs of levels (P. K. Sen, JASA 1968), then of the intercepts: a preempted or cold answer moves
 /// neither. A pair weighs as many answers and iterations as it spans.
-pub fn fit(levels: &[Level]) -> Option<CostModel> {
+pub fn fit(levels: &[Level]) -> Option<IterationCost> {
     let mut slopes = Vec::new();
     for (i, a) in levels.iter().enumerate() {
         for b in &levels[i + 1..] {
@@ -52,7 +52,7 @@ pub fn fit(levels: &[Level]) -> Option<CostModel> {
     let per_iteration_us = weighted_median(slopes)?;
     let intercept = |level: &Level| (level.delay_us - per_iteration_us * f64::from(level.iterations), level.count as f64);
     let setup_us = weighted_median(levels.iter().map(intercept).collect())?;
-    Some(CostModel { setup_us, per_iteration_us })
+    Some(IterationCost { setup_us, per_iteration_us })
 }
 
 /// The value below which half of the weight of (value, weight) lies.

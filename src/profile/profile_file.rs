@@ -7,7 +7,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::cost::CostModel;
+use super::cost::IterationCost;
 use super::knob::Knob;
 use super::summary::CaseSummary;
 use crate::knobs::{Value, nearest_name};
@@ -151,7 +151,7 @@ impl Profile {
 
 impl VariantProfile {
     /// From the cases of one variant that turn one knob; `None` without any.
-    pub(super) fn of(cases: &[&CaseSummary], cost: Option<CostModel>) -> Option<Self> {
+    pub(super) fn of(cases: &[&CaseSummary], cost: Option<IterationCost>) -> Option<Self> {
         let knob = cases.first()?.case.knob;
         let delta_s = |summary: &CaseSummary| match knob {
             Knob::TimeBudget if summary.case.value > 0.0 => summary.case.value,

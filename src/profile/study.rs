@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::cost::{self, CostModel, Level};
+use super::cost::{self, IterationCost, Level};
 use super::csv_files::{self, RunFiles};
 use super::html;
 use super::knob::Knob;
@@ -62,7 +62,7 @@ pub struct VariantCost {
     /// Median delays.
     pub levels: Vec<Level>,
     /// The line through them.
-    pub model: Option<CostModel>,
+    pub model: Option<IterationCost>,
 }
 
 /// What a study has found.

@@ -25,9 +25,9 @@ pub(crate) struct Arguments {
     /// The folder to write to
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Turn this knob: max_iterations, time_budget, beams or keyframe_distance [default: each in turn]
+    /// Turn this knob: max_iterations, time_budget, beams or keyframe_distance; may be given many times [default: each in turn]
     #[arg(long, value_parser = |text: &str| Knob::from_value(&text.into()))]
-    knob: Option<Knob>,
+    knob: Vec<Knob>,
     /// Try these values of the knob, such as 1,2,4,8 or 1ms,5ms [default: those of the knob]
     #[arg(long, value_delimiter = ',', requires = "knob")]
     values: Vec<String>,
@@ -52,11 +52,13 @@ impl Arguments {
     }
 
     pub(crate) fn sweeps(&self) -> anyhow::Result<Vec<Sweep>> {
-        let Some(knob) = self.knob else {
-            return Ok(Knob::ALL.iter().map(|&knob| Sweep { knob, values: None }).collect());
-        };
-        let values = self.values.iter().map(|text| knob.parse(text.trim())).collect::<Result<Vec<_>, _>>();
-        let values = values.map_err(|problem| anyhow::anyhow!("--values: {problem}"))?;
-        Ok(vec![Sweep { knob, values: (!values.is_empty()).then_some(values) }])
+        if let ([knob], false) = (self.knob.as_slice(), self.values.is_empty()) {
+            let values = self.values.iter().map(|text| knob.parse(text.trim())).collect::<Result<Vec<_>, _>>();
+            let values = values.map_err(|problem| anyhow::anyhow!("--values: {problem}"))?;
+            return Ok(vec![Sweep { knob: *knob, values: Some(values) }]);
+        }
+        anyhow::ensure!(self.values.is_empty(), "--values are those of one knob: give --knob once, or leave --values out");
+        let knobs = if self.knob.is_empty() { Knob::ALL } else { &self.knob };
+        Ok(knobs.iter().map(|&knob| Sweep { knob, values: None }).collect())
     }
 }
