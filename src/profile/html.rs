@@ -95,8 +95,9 @@ fn facts(results: &Results, command: &str) -> String {
             "those other than jump_table have fewer values unless some were asked for: their answers are the same".into(),
         ),
     ];
-    let rows: String =
-        facts.iter().map(|(what, value)| format!("<tr><td>{what}</td><td>{}</td></tr>\n", escaped(value))).collect();
+    let row = |(what, value): &(&str, String)| format!("<tr><td>{what}</td><td>{}</td></tr>\n", escaped(value));
+    let rows: Vec<String> = facts.iter().map(row).collect();
+    let rows = rows.concat();
     format!("<pre>{}</pre>\n<table class=\"facts\">\n{rows}</table>\n", escaped(command))
 }
 
@@ -107,8 +108,8 @@ fn table<'a>(header: &[&str], rows: impl Iterator<Item = Vec<String>> + 'a) -> S
     }
     text.push_str("</tr>\n");
     for row in rows {
-        let cells: String = row.iter().map(|cell| format!("<td>{}</td>", escaped(cell))).collect();
-        let _ = writeln!(text, "<tr>{cells}</tr>");
+        let cells: Vec<String> = row.iter().map(|cell| format!("<td>{}</td>", escaped(cell))).collect();
+        let _ = writeln!(text, "<tr>{}</tr>", cells.concat());
     }
     text + "</table>\n"
 }

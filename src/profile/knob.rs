@@ -103,10 +103,10 @@ impl Knob {
 
     /// Sets the knob in a configuration.
     pub fn set(self, config: &mut Config, value: f64) -> Result<(), ConfigError> {
-        #[allow(clippy::cast_possible_truncation)] // whole, and checked to be so
-        let whole = value as i64;
-        let exact = if whole as f64 == value { Value::from(whole) } else { Value::from(value) };
-        config.set(self.path(), &exact, self.name())
+        // Knobs that count take no 8.0.
+        #[allow(clippy::cast_possible_truncation)] // of whole numbers, saturating: the configuration checks the range
+        let as_text_has_it = if value.fract() == 0.0 { Value::from(value as i64) } else { Value::from(value) };
+        config.set(self.path(), &as_text_has_it, self.name())
     }
 }
 

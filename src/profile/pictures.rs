@@ -177,17 +177,25 @@ fn aligned(results: &Results, run: &Run) -> Vec<(f64, Pose2, Pose2)> {
     aligned.collect()
 }
 
-/// Panels of x, y and theta over time.
-fn pose_panels(labels: [&str; 3], height: u32, curves: Vec<(String, Look, Vec<(f64, [f64; 3])>)>) -> Vec<Panel> {
+/// Three quantities over time.
+struct PoseCurve {
+    name: String,
+    look: Look,
+    /// Seconds, and the quantities then.
+    points: Vec<(f64, [f64; 3])>,
+}
+
+/// A panel for each quantity.
+fn pose_panels(labels: [&str; 3], curves: &[PoseCurve]) -> Vec<Panel> {
     let series = |k: usize| {
-        let of = |(name, look, points): &(String, Look, Vec<(f64, [f64; 3])>)| Series {
-            name: name.clone(),
-            look: *look,
-            points: points.iter().map(|(t, values)| (*t, values[k])).collect(),
+        let of = |curve: &PoseCurve| Series {
+            name: curve.name.clone(),
+            look: curve.look,
+            points: curve.points.iter().map(|(t, values)| (*t, values[k])).collect(),
         };
         curves.iter().map(of).collect()
     };
-    (0..3).map(|k| panel("time [s]", labels[k], (Scale::Linear, Scale::Linear), height, series(k))).collect()
+    (0..3).map(|k| panel("time [s]", labels[k], (Scale::Linear, Scale::Linear), 300, series(k))).collect()
 }
 
 fn poses(results: &Results) -> Result<Picture, ProfileError> {
@@ -205,16 +213,17 @@ fn poses(results: &Results) -> Result<Picture, ProfileError> {
         let poses = aligned(results, &results.first_runs[i]);
         if n == 0 {
             let truth = poses.iter().map(|(t, _, truth)| (*t, *truth)).collect();
-            all.push(("truth".to_owned(), Look::line(Colour::Orange, 8), unwrapped(truth)));
+            all.push(PoseCurve { name: "truth".into(), look: Look::line(Colour::Orange, 8), points: unwrapped(truth) });
         }
         let estimate = poses.iter().map(|(t, pose, _)| (*t, *pose)).collect();
-        all.push((case_name(&results.cases[i]), Look::line(path_colour(n), 3), unwrapped(estimate)));
+        let (name, look) = (case_name(&results.cases[i]), Look::line(path_colour(n), 3));
+        all.push(PoseCurve { name, look, points: unwrapped(estimate) });
     }
     Ok(Picture {
         name: "poses".into(),
         title: "Pose by pose".into(),
         caption: format!("{} against the truth, aligned; headings count whole turns.", case_words(results)),
-        svg: curves(&pose_panels(["x [m]", "y [m]", "theta [deg]"], 300, all))?,
+        svg: curves(&pose_panels(["x [m]", "y [m]", "theta [deg]"], &all))?,
     })
 }
 
@@ -224,14 +233,15 @@ fn pose_errors(results: &Results) -> Result<Picture, ProfileError> {
         let error = |(t, pose, truth): (f64, Pose2, Pose2)| {
             (t, [1e3 * (pose.x - truth.x), 1e3 * (pose.y - truth.y), wrap_angle(pose.theta - truth.theta).to_degrees()])
         };
-        let errors = aligned(results, &results.first_runs[i]).into_iter().map(error).collect();
-        (case_name(&results.cases[i]), Look::line(path_colour(n), 3), errors)
+        let points = aligned(results, &results.first_runs[i]).into_iter().map(error).collect();
+        PoseCurve { name: case_name(&results.cases[i]), look: Look::line(path_colour(n), 3), points }
     });
+    let all: Vec<_> = all.collect();
     Ok(Picture {
         name: "pose_errors".into(),
         title: "Errors, pose by pose".into(),
         caption: "The same poses less the true ones, in the frame of the truth.".into(),
-        svg: curves(&pose_panels(["x error [mm]", "y error [mm]", "theta error [deg]"], 300, all.collect()))?,
+        svg: curves(&pose_panels(["x error [mm]", "y error [mm]", "theta error [deg]"], &all))?,
     })
 }
 

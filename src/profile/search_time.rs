@@ -59,7 +59,9 @@ fn time_pair(first: &Scan, second: &Scan, max_distance: f64, clock: &dyn Clock, 
     reference.set(first);
     let points: Vec<Point> = second.rays().map(|(_, direction, range)| direction * range).collect();
     let mut searches: Vec<_> = Correspondence::ALL.iter().map(|kind| kind.search()).collect();
-    searches.iter_mut().for_each(|search| search.prepare(&reference));
+    for search in &mut searches {
+        search.prepare(&reference);
+    }
     let mut nearest = vec![Nearest::NONE; points.len()];
     for _ in 0..REPEATS {
         for (search, samples) in searches.iter().zip(samples.iter_mut()) {

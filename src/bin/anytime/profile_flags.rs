@@ -25,13 +25,12 @@ pub(crate) struct Arguments {
     /// The folder to write to
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Turn this knob: max_iterations, time_budget, beams or keyframe_distance; may be given many times [default: each in turn]
-    #[arg(long, value_parser = |text: &str| Knob::from_value(&text.into()))]
+    #[arg(long, value_parser = |text: &str| Knob::from_value(&text.into()), help = knob_help())]
     knob: Vec<Knob>,
     /// Try these values of the knob, such as 1,2,4,8 or 1ms,5ms [default: those of the knob]
     #[arg(long, value_delimiter = ',', requires = "knob")]
     values: Vec<String>,
-    /// Profile this variant, such as jump_table+point_to_line; may be given many times [default: every search with every solver]
+    /// Profile this variant, such as `jump_table+point_to_line`; may be given many times [default: every search with every solver]
     #[arg(long, value_name = "SEARCH+SOLVER")]
     variant: Vec<Variant>,
     /// Run each case so often, interleaved with all others
@@ -44,6 +43,10 @@ pub(crate) struct Arguments {
     pub(crate) input: InputFlags,
     #[command(flatten)]
     pub(crate) simulation: SimulationFlags,
+}
+
+fn knob_help() -> String {
+    format!("Turn this knob: {}; may be given many times [default: each in turn]", Knob::kind())
 }
 
 impl Arguments {

@@ -114,8 +114,8 @@ pub(super) fn draw_line(chart: &mut Chart, points: &[(f64, f64)], look: Look) ->
     match look.dash {
         Dash::None => {}
         Dash::Solid => drop(chart.draw_series(LineSeries::new(points, stroke))?),
-        Dash::Dashed => drop(chart.draw_series([DashedPathElement::new(points.into_iter(), 22, 14, stroke)])?),
-        Dash::Dotted => drop(chart.draw_series([DashedPathElement::new(points.into_iter(), 6, 10, stroke)])?),
+        Dash::Dashed => drop(chart.draw_series([DashedPathElement::new(points, 22, 14, stroke)])?),
+        Dash::Dotted => drop(chart.draw_series([DashedPathElement::new(points, 6, 10, stroke)])?),
     }
     Ok(())
 }
