@@ -154,9 +154,7 @@ impl App {
 
     /// Gets ready for the first scan: practises on simulated ones, and reads the file of costs, if there is one.
     pub fn warm_up(&mut self) -> Result<(), CostFileError> {
-        if let Some(costs) = warm_up::practise(self) {
-            self.costs = costs;
-        }
+        self.costs = warm_up::practise(self);
         match &self.config.contract.cost_file {
             Some(path) => cost_file::read(Path::new(path), &mut self.costs).map(drop),
             None => Ok(()),
