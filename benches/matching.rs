@@ -6,9 +6,6 @@ mod common;
 
 use std::hint::black_box;
 
-use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::anytime::contract::Contract;
-use anytime_scan_matcher::anytime::{Task, drive};
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::matching::correspondence::Correspondence;
 use anytime_scan_matcher::matching::rejection::RejectionKnobs;
@@ -46,8 +43,6 @@ fn bench_match(criterion: &mut Criterion, group: &str, knobs: &MatchingKnobs, wi
     for (degrees, beams) in [(180.0, 181), (180.0, 361), (270.0, 1081), (270.0, 10_000)] {
         let pairs = walk(Laser::with_field_of_view(degrees, beams));
         let mut matcher = Matcher::new(knobs, &RejectionKnobs::default());
-        let clock = VirtualClock::new(std::time::Duration::ZERO);
-        let task = Task { contract: Contract::default(), arrival: std::time::Duration::ZERO };
         let mut next = 0;
         group.bench_function(BenchmarkId::from_parameter(beams), |bencher| {
             bencher.iter(|| {
@@ -55,9 +50,9 @@ fn bench_match(criterion: &mut Criterion, group: &str, knobs: &MatchingKnobs, wi
                 next = (next + 1) % pairs.len();
                 matcher.set_reference(reference);
                 let mut refinement = matcher.begin(sensed, *guess);
-                black_box(drive(&mut refinement, &task, &clock));
+                while black_box(refinement.refine()).is_none() {}
                 if with_covariance {
-                    black_box(refinement.covariance());
+                    black_box(refinement.uncertainty());
                 }
                 refinement.pose()
             });

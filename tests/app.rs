@@ -33,22 +33,7 @@ fn app(assignments: &[&str]) -> App {
 
 /// A scan of the room from `laser_pose`, without noise.
 fn scan_at(seconds: f64, laser_pose: Pose2) -> LaserScan {
-    let laser = Laser::with_field_of_view(270.0, 361);
-    let geometry = laser.geometry();
-    let ranges =
-        geometry.directions().iter().map(|&d| room_range(laser_pose.translation(), laser_pose.transform().rotate(d)) as f32);
-    let mut message = LaserScan {
-        angle_min: laser.angle_min as f32,
-        angle_max: -laser.angle_min as f32,
-        angle_increment: laser.increment as f32,
-        range_min: 0.05,
-        range_max: 30.0,
-        ranges: ranges.collect(),
-        ..LaserScan::default()
-    };
-    message.header.frame_id = "laser".into();
-    message.header.stamp = Stamp::from_seconds(START + seconds).into();
-    message
+    Laser::with_field_of_view(270.0, 361).message(Stamp::from_seconds(START + seconds), laser_pose)
 }
 
 fn odometry_at(seconds: f64, pose: Pose2) -> Odometry {
@@ -59,7 +44,9 @@ fn odometry_at(seconds: f64, pose: Pose2) -> Odometry {
 }
 
 fn answer(app: &mut App, message: &LaserScan) -> Estimate {
-    app.on_scan(message, Duration::ZERO)
+    let mut estimate = app.on_scan(message, Duration::ZERO);
+    app.conclude(&mut estimate);
+    estimate
 }
 
 /// A slow turn through the room, seen from its start.

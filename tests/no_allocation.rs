@@ -29,8 +29,8 @@ fn a_warm_match_allocates_nothing() {
                     }
                     let mut refinement = matcher.begin(&pair[1], Pose2::IDENTITY);
                     while refinement.refine().is_none() {}
-                    refinement.covariance().unwrap();
-                    assert!(refinement.condition_number().is_finite());
+                    let uncertainty = refinement.uncertainty().unwrap();
+                    assert!(uncertainty.covariance.is_some() && uncertainty.condition_number.is_finite());
                 }
             };
             run(&mut matcher, true);

@@ -15,6 +15,13 @@ crate::knobs! {
         translation_error_bound: f64 = 0.0, in 0 to 100, unit "m";
         /// Stop as soon as the estimated error of the heading is below this; 0: no bound.
         rotation_error_bound: f64 = 0.0, in 0 to 4, unit "rad";
+        /// Go on refining after an answer that had no time to be finished, until the next scan is here: the next prediction starts from
+        /// the better pose. The answer itself stays.
+        finish_after_answer: bool = true;
+        /// Share of the steps whose cost stays below what is reckoned with: high keeps deadlines, low uses the time up to the last.
+        confidence: f64 = 0.99, in 0.5 to 0.9999;
+        /// File to keep the learned costs in from run to run: read at start if it is there, written on exit.
+        cost_file: Option<String> = None;
     }
 }
 

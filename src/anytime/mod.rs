@@ -2,14 +2,23 @@
 
 pub mod clock;
 pub mod contract;
+pub mod cost_model;
+pub mod interrupt;
 
 use std::time::Duration;
 
 use clock::Clock;
 use contract::Contract;
+use cost_model::{CostModel, Phase};
+use interrupt::Interrupt;
 
 use crate::geometry::PoseCovariance;
 use crate::matching::{Refinement, StopReason};
+
+/// A budget should allow for this many iterations of the coarsest level.
+const PLANNED_ITERATIONS: u32 = 4;
+/// Fewer rays than this are no plan: they leave the pose to chance.
+const FEWEST_RAYS: usize = 32;
 
 /// A contract on one scan: its time counts from the scan's arrival.
 #[derive(Clone, Copy, Debug)]
@@ -18,6 +27,8 @@ pub struct Task {
     pub contract: Contract,
     /// Reading of the clock when the scan arrived.
     pub arrival: Duration,
+    /// Reading of the clock when the scan was taken up.
+    pub taken_up: Duration,
 }
 
 impl Task {
@@ -46,38 +57,105 @@ impl ErrorEstimate {
     }
 }
 
-/// Refines until the match is done, good enough, or out of time.
-///
-/// An iteration is begun only when one as long as the longest so far still fits before the deadline; the first one, when any time is
-/// left at all.
-pub fn drive(refinement: &mut Refinement, task: &Task, clock: &dyn Clock) -> StopReason {
-    let mut longest = Duration::ZERO;
-    let mut now = if task.contract.time_budget.is_some() { clock.now() } else { Duration::ZERO };
-    loop {
-        if task.deadline().is_some_and(|deadline| now + longest >= deadline) {
-            return StopReason::Budget;
+/// Keeps the contract of one scan.
+pub struct Driver<'a> {
+    task: Task,
+    clock: &'a dyn Clock,
+    interrupt: &'a dyn Interrupt,
+    costs: &'a mut CostModel,
+    refined: Option<Duration>,
+}
+
+impl<'a> Driver<'a> {
+    /// For one scan. `interrupt` may end its refinement early; `costs` says what is ahead, and learns.
+    pub fn new(task: Task, clock: &'a dyn Clock, interrupt: &'a dyn Interrupt, costs: &'a mut CostModel) -> Self {
+        Self { task, clock, interrupt, costs, refined: None }
+    }
+
+    /// Reading of the clock when the refinement was over; `None` while there has been none.
+    pub fn refined(&self) -> Option<Duration> {
+        self.refined
+    }
+
+    /// Refines until the match is done, good enough, called for, or out of time.
+    ///
+    /// An iteration is begun only when it and all that follows it still fit before the deadline, at the costs that the model guards
+    /// against.
+    pub fn drive(&mut self, refinement: &mut Refinement) -> StopReason {
+        let mut now = self.clock.now();
+        self.costs.observe(Phase::Setup, refinement.rays(), now.saturating_sub(self.task.taken_up));
+        if let Some(deadline) = self.task.deadline() {
+            self.plan(refinement, deadline.saturating_sub(now));
         }
-        if let Some(reason) = refinement.refine() {
-            return reason;
-        }
-        if task.contract.has_error_bound() {
-            let error = estimated_error(refinement);
-            if task.contract.is_satisfied_by(error.translation, error.rotation) {
+        self.refined = Some(now);
+        loop {
+            let rays = refinement.next_rays();
+            if self.interrupt.is_requested() {
+                return StopReason::Interrupted;
+            }
+            if self.task.deadline().is_some_and(|deadline| now + self.cost_of_iteration_and_answer(rays) > deadline) {
+                return StopReason::Budget;
+            }
+            let stop = refinement.refine();
+            let before = std::mem::replace(&mut now, self.clock.now());
+            self.costs.observe(Phase::Iteration, rays, now.saturating_sub(before));
+            self.refined = Some(now);
+            if let Some(reason) = stop {
+                return reason;
+            }
+            if self.is_good_enough(refinement) {
                 return StopReason::ErrorBound;
             }
         }
-        if task.contract.time_budget.is_some() {
-            let then = std::mem::replace(&mut now, clock.now());
-            longest = longest.max(now.saturating_sub(then));
+    }
+
+    /// Begins with as few rays as it takes for some iterations to fit into the time left. Finer levels follow as time allows.
+    fn plan(&self, refinement: &mut Refinement, left: Duration) {
+        let fits = |rays: usize| {
+            let iterations = self.costs.typical(Phase::Iteration, rays) * PLANNED_ITERATIONS;
+            iterations + self.costs.guarded(Phase::Closing, rays) <= left
+        };
+        let mut rays = refinement.next_rays();
+        while !fits(rays) && rays / 2 >= FEWEST_RAYS {
+            rays /= 2;
+        }
+        if rays < refinement.next_rays() {
+            refinement.use_rays(rays);
+        }
+    }
+
+    /// One of the two may be slow; that both are is as good as out of the question.
+    fn cost_of_iteration_and_answer(&self, rays: usize) -> Duration {
+        let slow = |phase| self.costs.guarded(phase, rays);
+        let usual = |phase| self.costs.typical(phase, rays);
+        let slow_iteration = slow(Phase::Iteration) + usual(Phase::Closing);
+        slow_iteration.max(usual(Phase::Iteration) + slow(Phase::Closing))
+    }
+
+    fn is_good_enough(&self, refinement: &mut Refinement) -> bool {
+        let contract = &self.task.contract;
+        contract.has_error_bound() && {
+            let step = last_step(refinement);
+            // The uncertainty takes longer to compute.
+            contract.is_satisfied_by(step.translation, step.rotation) && {
+                let covariance = refinement.uncertainty().and_then(|known| known.covariance);
+                let error = estimated_error(refinement, covariance.as_ref());
+                contract.is_satisfied_by(error.translation, error.rotation)
+            }
         }
     }
 }
 
 /// Error of the pose reached so far: the noise of the scans, and what the next step may still change, for which the last one stands.
-pub fn estimated_error(refinement: &mut Refinement) -> ErrorEstimate {
-    let Some(covariance) = refinement.covariance() else { return ErrorEstimate::UNKNOWN };
-    let noise = ErrorEstimate::of_covariance(&covariance);
+pub fn estimated_error(refinement: &Refinement, covariance: Option<&PoseCovariance>) -> ErrorEstimate {
+    let Some(covariance) = covariance else { return ErrorEstimate::UNKNOWN };
+    let (noise, step) = (ErrorEstimate::of_covariance(covariance), last_step(refinement));
+    ErrorEstimate { translation: noise.translation.hypot(step.translation), rotation: noise.rotation.hypot(step.rotation) }
+}
+
+/// How far the last iteration moved the pose; unknown before the second one.
+fn last_step(refinement: &Refinement) -> ErrorEstimate {
     let [.., before, last] = refinement.trace() else { return ErrorEstimate::UNKNOWN };
     let step = before.pose.between(&last.pose);
-    ErrorEstimate { translation: noise.translation.hypot(step.distance()), rotation: noise.rotation.hypot(step.theta) }
+    ErrorEstimate { translation: step.distance(), rotation: step.theta.abs() }
 }

@@ -1,6 +1,7 @@
 //! Files: bags, trajectories, relations, maps.
 
 pub mod bag;
+pub mod cost_file;
 pub mod map_file;
 pub mod relations;
 pub mod simulated_bag;

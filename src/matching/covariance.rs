@@ -1,4 +1,5 @@
-//! Covariance of a match from the noise of both scans' ranges (Censi 2007: the implicit function theorem on the minimum).
+//! How well a match fixes the pose: its covariance from the noise of both scans' ranges (Censi 2007: the implicit function theorem on
+//! the minimum), and the condition of its information matrix.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,13 +8,23 @@ use super::rejection::Pair;
 use super::solver::Metric;
 use crate::geometry::{Point, Pose2, PoseCovariance, perpendicular};
 
+/// How well a match fixes the pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Uncertainty {
+    /// Covariance of the pose (m, m, rad); `None` where the pairs leave a direction open.
+    pub covariance: Option<PoseCovariance>,
+    /// Ratio of the largest to the smallest eigenvalue of the information matrix, headings measured by their effect at the pairs'
+    /// mean distance; infinite where the pairs leave a direction open.
+    pub condition_number: f64,
+}
+
 /// Derivatives of the gradient by the ranges of the reference rays; kept between calls for its memory.
 #[derive(Debug, Default)]
-pub(super) struct CovarianceEstimator {
+pub(super) struct UncertaintyEstimator {
     by_reference_range: Vec<Vector3<f64>>,
 }
 
-/// What the covariance is computed from.
+/// What the uncertainty is computed from.
 pub(super) struct Solution<'a> {
     pub(super) reference: &'a Reference,
     /// Points of the sensed scan, in its own frame.
@@ -25,99 +36,143 @@ pub(super) struct Solution<'a> {
     pub(super) range_noise: f64,
 }
 
-/// The outer gradient term of a symmetric dyad: `(dn n' + n dn') e`.
-fn dyad_change(dn: Point, n: Point, e: Point) -> Point {
-    dn * n.dot(&e) + n * dn.dot(&e)
-}
-
-impl CovarianceEstimator {
-    /// Covariance of the solution's pose and the Hessian of its error; `None` where the Hessian is singular: a direction that the
-    /// pairs leave open.
-    pub(super) fn estimate(&mut self, solution: &Solution) -> Option<PoseCovariance> {
+impl UncertaintyEstimator {
+    pub(super) fn estimate(&mut self, solution: &Solution) -> Uncertainty {
         let reference = solution.reference;
         let transform = solution.pose.transform();
         self.by_reference_range.clear();
         self.by_reference_range.resize(reference.len(), Vector3::zeros());
-        let mut hessian = Matrix3::zeros();
-        let mut spread = Matrix3::zeros();
+        let mut sums = Sums::default();
         for pair in solution.pairs {
             let p = solution.sensed[pair.sensed as usize];
-            let rotated = transform.rotate(p);
             let (first, second) = reference.segment_rays(pair.segment as usize);
             let (j, k) = if pair.ray as usize == first { (first, second) } else { (second, first) };
-            let terms = PairTerms {
+            let (points, rays) = (reference.points(), reference.rays());
+            let (rotated, range) = (transform.rotate(p), p.norm());
+            sums.distance += range;
+            let mut by_sensed_range = Vector3::zeros();
+            let mut add = |normal: Point, turns: bool| {
                 // Whatever point of the segment's line: the nearest ray's.
-                error: transform.apply(p) - reference.points()[j],
-                rotated,
-                normal: reference.segment(pair.segment as usize).normal,
-                metric: solution.metric,
+                let term = Term::new(normal, transform.apply(p) - points[j], rotated);
+                sums.add(&term);
+                by_sensed_range += term.gradient_by_sensed_range(&(rotated / range));
+                self.by_reference_range[j] -= term.gradient_by_offset(&rays[j].direction);
+                if turns {
+                    let d = points[j] - points[k];
+                    let turn = |v: &Point| d.perp(v) / d.norm_squared();
+                    self.by_reference_range[j] += term.gradient_by_turn(turn(&rays[j].direction));
+                    self.by_reference_range[k] -= term.gradient_by_turn(turn(&rays[k].direction));
+                }
             };
-            hessian += terms.hessian();
-            let by_sensed_range = terms.by_sensed_range(rotated / p.norm());
-            spread += by_sensed_range * by_sensed_range.transpose();
-            let d = reference.points()[j] - reference.points()[k];
-            let (vj, vk) = (reference.rays()[j].direction, reference.rays()[k].direction);
-            self.by_reference_range[j] += terms.by_normal(d.perp(&vj) / d.norm_squared()) - terms.by_anchor(vj);
-            self.by_reference_range[k] += terms.by_normal(-d.perp(&vk) / d.norm_squared());
+            match solution.metric {
+                Metric::PointToLine => add(reference.segment(pair.segment as usize).normal, true),
+                Metric::PointToPoint => [Point::x(), Point::y()].into_iter().for_each(|axis| add(axis, false)),
+            }
+            add_outer(&mut sums.spread, &by_sensed_range);
         }
         for by_range in &self.by_reference_range {
-            spread += by_range * by_range.transpose();
+            add_outer(&mut sums.spread, by_range);
         }
+        Uncertainty {
+            covariance: sums.covariance(solution.range_noise),
+            condition_number: sums.condition_number(solution.pairs.len()),
+        }
+    }
+}
+
+/// One squared distance of the sum that is minimised, `e^2` with `e = n . (R p + t - q)`, half its gradient `e a`, and derivatives.
+struct Term {
+    normal: Point,
+    /// `R p + t - q`.
+    offset: Point,
+    /// `R p`.
+    rotated: Point,
+    /// `e`.
+    error: f64,
+    /// `a = (n, n . J R p)`: derivative of `e` by the pose.
+    by_pose: Vector3<f64>,
+}
+
+impl Term {
+    #[inline]
+    fn new(normal: Point, offset: Point, rotated: Point) -> Self {
+        let by_pose = Vector3::new(normal.x, normal.y, normal.dot(&perpendicular(rotated)));
+        Self { normal, offset, rotated, error: normal.dot(&offset), by_pose }
+    }
+
+    /// Change of the half gradient as the sensed point moves outwards on its ray, which points along `v`.
+    #[inline]
+    fn gradient_by_sensed_range(&self, v: &Point) -> Vector3<f64> {
+        self.by_pose * self.normal.dot(v) + Vector3::new(0.0, 0.0, self.error * self.normal.dot(&perpendicular(*v)))
+    }
+
+    /// Change of the half gradient as the sensed point moves along `v` relative to the reference, without turning.
+    #[inline]
+    fn gradient_by_offset(&self, v: &Point) -> Vector3<f64> {
+        self.by_pose * self.normal.dot(v)
+    }
+
+    /// Change of the half gradient as the normal turns by `turn` rad per metre of range.
+    #[inline]
+    fn gradient_by_turn(&self, turn: f64) -> Vector3<f64> {
+        let dn = perpendicular(self.normal) * turn;
+        let change = Vector3::new(dn.x, dn.y, dn.dot(&perpendicular(self.rotated)));
+        self.by_pose * dn.dot(&self.offset) + change * self.error
+    }
+}
+
+/// Sums over all terms. Of the symmetric matrices the lower triangles are left empty until the end.
+#[derive(Default)]
+struct Sums {
+    /// Gauss-Newton's: of `a a'`.
+    information: Matrix3<f64>,
+    /// What the Hessian has beyond it: in the heading alone.
+    curvature: f64,
+    /// Of the outer products of the gradient's derivatives by the ranges.
+    spread: Matrix3<f64>,
+    /// Of the pairs' distances from the sensed laser, m.
+    distance: f64,
+}
+
+#[inline]
+fn add_outer(upper: &mut Matrix3<f64>, v: &Vector3<f64>) {
+    for column in 0..3 {
+        for row in 0..=column {
+            upper[(row, column)] += v[row] * v[column];
+        }
+    }
+}
+
+fn symmetric(upper: &Matrix3<f64>) -> Matrix3<f64> {
+    let mut full = *upper;
+    full.fill_lower_triangle_with_upper_triangle();
+    full
+}
+
+impl Sums {
+    #[inline]
+    fn add(&mut self, term: &Term) {
+        add_outer(&mut self.information, &term.by_pose);
+        self.curvature -= term.error * term.normal.dot(&term.rotated);
+    }
+
+    fn covariance(&self, range_noise: f64) -> Option<PoseCovariance> {
+        let mut hessian = symmetric(&self.information);
+        hessian.m33 += self.curvature;
         let inverse = hessian.try_inverse()?;
-        let covariance = inverse * spread * inverse * (solution.range_noise * solution.range_noise);
+        let covariance = inverse * symmetric(&self.spread) * inverse * (range_noise * range_noise);
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
-}
 
-/// Derivatives of one pair's squared error `e' C e`, `e = R p + t - q`.
-struct PairTerms {
-    error: Point,
-    rotated: Point,
-    normal: Point,
-    metric: Metric,
-}
-
-impl PairTerms {
-    /// `C v`.
-    fn weigh(&self, v: Point) -> Point {
-        match self.metric {
-            Metric::PointToLine => self.normal * self.normal.dot(&v),
-            Metric::PointToPoint => v,
+    fn condition_number(&self, pairs: usize) -> f64 {
+        let lever = self.distance / pairs.max(1) as f64;
+        let mut information = symmetric(&self.information);
+        for i in 0..3 {
+            information[(i, 2)] /= lever;
+            information[(2, i)] /= lever;
         }
-    }
-
-    /// Change of the error with the heading.
-    fn by_heading(&self) -> Point {
-        perpendicular(self.rotated)
-    }
-
-    fn hessian(&self) -> Matrix3<f64> {
-        let turned = self.weigh(self.by_heading());
-        let (cx, cy) = (self.weigh(Point::x()), self.weigh(Point::y()));
-        let heading = self.by_heading().dot(&turned) - self.error.dot(&self.weigh(self.rotated));
-        2.0 * Matrix3::new(cx.x, cy.x, turned.x, cx.y, cy.y, turned.y, turned.x, turned.y, heading)
-    }
-
-    /// Change of the gradient with the range of the sensed ray, which points along `v` (in the reference frame).
-    fn by_sensed_range(&self, v: Point) -> Vector3<f64> {
-        let weighed = self.weigh(v);
-        let heading = self.error.dot(&self.weigh(perpendicular(v))) + weighed.dot(&self.by_heading());
-        2.0 * Vector3::new(weighed.x, weighed.y, heading)
-    }
-
-    /// Change of the gradient as the segment's anchor point moves along `v`, to be subtracted.
-    fn by_anchor(&self, v: Point) -> Vector3<f64> {
-        let weighed = self.weigh(v);
-        2.0 * Vector3::new(weighed.x, weighed.y, weighed.dot(&self.by_heading()))
-    }
-
-    /// Change of the gradient as the segment turns by `turn` rad per metre of range.
-    fn by_normal(&self, turn: f64) -> Vector3<f64> {
-        if self.metric == Metric::PointToPoint {
-            return Vector3::zeros();
-        }
-        let dn = perpendicular(self.normal) * turn;
-        let changed = dyad_change(dn, self.normal, self.error);
-        2.0 * Vector3::new(changed.x, changed.y, changed.dot(&self.by_heading()))
+        let eigenvalues = information.symmetric_eigenvalues();
+        let (least, most) = (eigenvalues.min(), eigenvalues.max());
+        if least > 0.0 { most / least } else { f64::INFINITY }
     }
 }

@@ -6,20 +6,27 @@
 
 pub mod correspondence;
 mod covariance;
+mod ray_order;
 pub mod reference;
 pub mod rejection;
 pub mod solver;
 
-use crate::geometry::{Point, Pose2, PoseCovariance};
+use crate::geometry::{Point, Pose2};
 use crate::scan::Scan;
 use correspondence::{Correspondence, CorrespondenceSearch, Nearest};
-use covariance::{CovarianceEstimator, Solution};
+pub use covariance::Uncertainty;
+use covariance::{Solution, UncertaintyEstimator};
+use ray_order::RayOrder;
 use reference::Reference;
 use rejection::{Pair, Rejection, RejectionKnobs};
 use solver::{Metric, QuadraticForm, Solver, SolverKind};
 
 /// Pairs without which no pose is determined.
 const FEWEST_PAIRS: usize = 3;
+/// Each level of the coarse-to-fine schedule has so many times the rays of the one before.
+const LEVEL_RATIO: usize = 4;
+/// A coarse level is left when its steps are below this many epsilons: what remains, the finer one corrects anyway.
+const COARSE_EPSILONS: f64 = 10.0;
 
 crate::knobs! {
     /// How two scans are matched.
@@ -28,6 +35,10 @@ crate::knobs! {
         correspondence: Correspondence = Correspondence::JumpTable;
         /// What is minimised, and how.
         solver: SolverKind = SolverKind::PointToLine;
+        /// Rays of the sensed scan that take part at most, spread over the whole field of view; 0: all.
+        max_rays: u32 = 0, in 0 to 10000;
+        /// Rays to begin with: what they settle need not be done with all. Each following level has four times as many; 0: all at once.
+        coarse_rays: u32 = 128, in 0 to 10000;
         /// Iterations of one match at most.
         max_iterations: u32 = 30, in 1 to 1000;
         /// Points farther apart do not correspond.
@@ -56,6 +67,8 @@ pub enum StopReason {
     Budget,
     /// The estimated error is within the bound asked for.
     ErrorBound,
+    /// The answer was called for.
+    Interrupted,
     /// Too few sensed points have a partner.
     TooFewCorrespondences,
     /// The pairs determine no finite pose.
@@ -71,6 +84,7 @@ impl StopReason {
             Self::IterationLimit => "iteration_limit",
             Self::Budget => "budget",
             Self::ErrorBound => "error_bound",
+            Self::Interrupted => "interrupted",
             Self::TooFewCorrespondences => "too_few_correspondences",
             Self::Singular => "singular",
         }
@@ -87,7 +101,9 @@ impl StopReason {
 pub struct IterationTrace {
     /// Pose of the sensed scan in the reference frame after the iteration.
     pub pose: Pose2,
-    /// Sensed points with a partner.
+    /// Sensed points that took part.
+    pub rays: u32,
+    /// Of those, the ones with a partner.
     pub correspondences: u32,
     /// Of those, the ones left after rejection.
     pub inliers: u32,
@@ -103,8 +119,10 @@ pub struct Matcher {
     search: Box<dyn CorrespondenceSearch>,
     solver: Box<dyn Solver>,
     rejection: Rejection,
-    covariance: CovarianceEstimator,
+    uncertainty: UncertaintyEstimator,
     reference: Reference,
+    /// Number of rays asked for when `sensed` was chosen; 0: not yet.
+    rays_chosen: usize,
     sensed: Vec<Point>,
     moved: Vec<Point>,
     nearest: Vec<Nearest>,
@@ -119,8 +137,9 @@ impl Matcher {
             search: knobs.correspondence.search(),
             solver: knobs.solver.solver(),
             rejection: Rejection::new(rejection.clone()),
-            covariance: CovarianceEstimator::default(),
+            uncertainty: UncertaintyEstimator::default(),
             reference: Reference::default(),
+            rays_chosen: 0,
             sensed: Vec::new(),
             moved: Vec::new(),
             nearest: Vec::new(),
@@ -137,20 +156,30 @@ impl Matcher {
     }
 
     /// Starts to match a scan. `first_guess`: pose of the sensed laser in the reference laser's frame.
-    pub fn begin(&mut self, sensed: &Scan, first_guess: Pose2) -> Refinement<'_> {
-        self.sensed.clear();
-        self.sensed.extend(sensed.rays().map(|(_, direction, range)| direction * range));
-        self.nearest.clear();
-        self.nearest.resize(self.sensed.len(), Nearest::NONE);
-        self.pairs.clear();
+    pub fn begin<'a>(&'a mut self, sensed: &'a Scan, first_guess: Pose2) -> Refinement<'a> {
+        let all_if_zero = |count: u32| if count == 0 { usize::MAX } else { count as usize };
+        let finest = all_if_zero(self.knobs.max_rays).min(sensed.valid_len());
+        let coarsest = all_if_zero(self.knobs.coarse_rays);
         self.trace.clear();
-        Refinement { matcher: self, pose: first_guess, stopped: None }
+        self.pairs.clear();
+        self.rays_chosen = 0;
+        let mut refinement =
+            Refinement { matcher: self, scan: sensed, finest, next_rays: 0, level_start: 0, pose: first_guess, stopped: None };
+        refinement.use_rays(coarsest);
+        refinement
     }
 }
 
 /// A match under way.
 pub struct Refinement<'a> {
     matcher: &'a mut Matcher,
+    scan: &'a Scan,
+    /// Rays of the last level.
+    finest: usize,
+    /// Rays of the next iteration: another number than the present one's where a new level begins.
+    next_rays: usize,
+    /// Index into the trace of the present level's first iteration.
+    level_start: usize,
     pose: Pose2,
     stopped: Option<StopReason>,
 }
@@ -159,9 +188,41 @@ impl Refinement<'_> {
     /// One iteration; does nothing once it has stopped. Answers why it stopped, `None` while there is more to gain.
     pub fn refine(&mut self) -> Option<StopReason> {
         if self.stopped.is_none() {
-            self.stopped = self.iterate().err();
+            self.begin_level();
+            match self.iterate() {
+                Err(StopReason::IterationLimit) => self.stopped = Some(StopReason::IterationLimit),
+                Err(_) if self.next_rays < self.finest => self.use_rays(LEVEL_RATIO * self.next_rays),
+                outcome => self.stopped = outcome.err(),
+            }
         }
         self.stopped
+    }
+
+    /// From the next iteration on about this many rays take part, as far as there are so many and they are allowed.
+    pub fn use_rays(&mut self, count: usize) {
+        // A level with nearly all rays is better taken with all.
+        self.next_rays = if 2 * count > self.finest { self.finest } else { count };
+    }
+
+    /// Number of sensed rays that take part in the next iteration, or nearly so.
+    pub fn next_rays(&self) -> usize {
+        self.next_rays
+    }
+
+    /// Chooses the rays, where they are others than before.
+    fn begin_level(&mut self) {
+        let m = &mut *self.matcher;
+        if m.rays_chosen == self.next_rays {
+            return;
+        }
+        let order = RayOrder::first(self.next_rays, self.scan.valid_len());
+        m.sensed.clear();
+        let chosen = self.scan.rays().enumerate().filter(|(i, _)| order.contains(*i));
+        m.sensed.extend(chosen.map(|(_, (_, direction, range))| direction * range));
+        m.nearest.clear();
+        m.nearest.resize(m.sensed.len(), Nearest::NONE);
+        m.rays_chosen = self.next_rays;
+        self.level_start = m.trace.len();
     }
 
     /// The whole of PL-ICP.
@@ -184,8 +245,10 @@ impl Refinement<'_> {
         let pose = m.solver.solve(&m.quadratic_form(), &self.pose).ok_or(StopReason::Singular)?;
         let moved = self.pose.between(&pose);
         self.pose = pose;
-        let earlier = m.record(pose, correspondences);
-        if moved.distance() <= m.knobs.epsilon_translation && moved.theta.abs() <= m.knobs.epsilon_rotation {
+        let earlier = m.record(pose, correspondences, self.level_start);
+        let epsilons = if m.rays_chosen < self.finest { COARSE_EPSILONS } else { 1.0 };
+        let (translation, rotation) = (epsilons * m.knobs.epsilon_translation, epsilons * m.knobs.epsilon_rotation);
+        if moved.distance() <= translation && moved.theta.abs() <= rotation {
             return Err(StopReason::Converged);
         }
         if let Some(start) = earlier {
@@ -210,7 +273,7 @@ impl Refinement<'_> {
 
     /// Number of sensed rays that carry a measurement.
     pub fn rays(&self) -> usize {
-        self.matcher.sensed.len()
+        self.scan.valid_len()
     }
 
     /// Points of the reference scan, m, in its laser's frame.
@@ -225,9 +288,8 @@ impl Refinement<'_> {
         m.pairs.iter().map(move |pair| (transform.apply(m.sensed[pair.sensed as usize]), m.reference.points()[pair.ray as usize]))
     }
 
-    /// Covariance of [`Self::pose`] by the pairs of the last iteration. `None` before the first iteration and where the pairs leave a
-    /// direction open.
-    pub fn covariance(&mut self) -> Option<PoseCovariance> {
+    /// How well the pairs of the last iteration fix [`Self::pose`]; `None` before the first iteration.
+    pub fn uncertainty(&mut self) -> Option<Uncertainty> {
         let m = &mut *self.matcher;
         let residual = m.trace.last()?.mean_residual;
         // The residual holds the noise of both scans; the mean of |e| is sqrt(2/pi) of a normal e's standard deviation.
@@ -240,23 +302,7 @@ impl Refinement<'_> {
             metric: m.solver.metric(),
             range_noise: observed_noise.max(m.knobs.range_noise),
         };
-        m.covariance.estimate(&solution)
-    }
-
-    /// Ratio of the largest to the smallest eigenvalue of the match's information matrix, headings measured by their effect at the
-    /// pairs' mean distance; infinite where the pairs leave a direction open.
-    pub fn condition_number(&self) -> f64 {
-        let m = &*self.matcher;
-        let (_, mut information) = m.quadratic_form().linearize(&self.pose);
-        let sum: f64 = m.pairs.iter().map(|pair| m.sensed[pair.sensed as usize].norm()).sum();
-        let lever = sum / m.pairs.len().max(1) as f64;
-        for i in 0..3 {
-            information[(i, 2)] /= lever;
-            information[(2, i)] /= lever;
-        }
-        let eigenvalues = information.symmetric_eigenvalues();
-        let (least, most) = (eigenvalues.min(), eigenvalues.max());
-        if least > 0.0 { most / least } else { f64::INFINITY }
+        Some(m.uncertainty.estimate(&solution))
     }
 }
 
@@ -278,14 +324,16 @@ impl Matcher {
         form
     }
 
-    /// Adds to the trace; answers the earlier iteration with the same pairs, if any.
+    /// Adds to the trace; answers the earlier iteration with the same pairs, if there is one from `level_start` on.
     #[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
-    fn record(&mut self, pose: Pose2, correspondences: usize) -> Option<usize> {
+    fn record(&mut self, pose: Pose2, correspondences: usize, level_start: usize) -> Option<usize> {
         let fingerprint = fingerprint(&self.pairs);
-        let earlier = self.trace.iter().position(|iteration| iteration.fingerprint == fingerprint);
+        let of_level = self.trace.iter().enumerate().skip(level_start);
+        let earlier = of_level.clone().find(|(_, iteration)| iteration.fingerprint == fingerprint).map(|(i, _)| i);
         let sum: f64 = self.pairs.iter().map(|pair| pair.squared_error.sqrt()).sum();
         self.trace.push(IterationTrace {
             pose,
+            rays: self.sensed.len() as u32,
             correspondences: correspondences as u32,
             inliers: self.pairs.len() as u32,
             mean_residual: sum / self.pairs.len() as f64,

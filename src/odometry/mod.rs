@@ -6,8 +6,7 @@
 pub mod uncertainty;
 pub mod wheel;
 
-use crate::anytime::clock::Clock;
-use crate::anytime::{ErrorEstimate, Task, drive};
+use crate::anytime::{Driver, ErrorEstimate, estimated_error};
 use crate::geometry::{Point, Pose2, PoseCovariance, Twist2};
 use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
@@ -103,7 +102,9 @@ pub struct RefinementReport {
     pub iterations: u32,
     /// Sensed rays that carry a measurement.
     pub rays: u32,
-    /// Sensed rays with a partner.
+    /// Those that took part in the last iteration.
+    pub rays_used: u32,
+    /// Of those, the ones with a partner.
     pub correspondences: u32,
     /// Of those, the ones that fixed the pose.
     pub inliers: u32,
@@ -129,6 +130,8 @@ pub struct OdometryCounters {
     pub keyframes: u64,
     /// Answers that were predictions.
     pub predicted: u64,
+    /// Matches that were finished after their answer was out.
+    pub finished_later: u64,
     /// Scans with the stamp of the one before.
     pub duplicate_scans: u64,
     /// Scans a little older than the one before.
@@ -168,6 +171,8 @@ pub struct LaserOdometry {
     waited_in_vain: bool,
     keyframe: Option<Keyframe>,
     upcoming_keyframe: Option<(Scan, Keyframe)>,
+    /// The last scan, when its answer was given before its match was done, and the pose (in the keyframe) that it had come to.
+    unfinished: Option<(Scan, Attempt, Pose2)>,
     last: Option<Last>,
     start: Pose2,
     counters: OdometryCounters,
@@ -186,6 +191,7 @@ impl LaserOdometry {
             waited_in_vain: false,
             keyframe: None,
             upcoming_keyframe: None,
+            unfinished: None,
             last: None,
             start: knobs.initial_pose,
             counters: OdometryCounters::default(),
@@ -210,7 +216,7 @@ impl LaserOdometry {
         self.matched_points.as_ref()
     }
 
-    /// What each iteration of the last answer's match did; empty where there was no match.
+    /// What each iteration of the last match did; empty where there was none for the last answer.
     pub fn iterations(&self) -> &[IterationTrace] {
         &self.iterations
     }
@@ -230,6 +236,7 @@ impl LaserOdometry {
 
     /// The laser has moved on the base: the next scan becomes a keyframe where the base is.
     pub fn forget_reference(&mut self) {
+        self.unfinished = None;
         self.keyframe = None;
         self.upcoming_keyframe = None;
     }
@@ -250,7 +257,7 @@ impl LaserOdometry {
     }
 
     /// The answer for a scan: where the base was when it was taken. `base_from_laser` is the laser's place on the base.
-    pub fn register(&mut self, scan: &Scan, base_from_laser: &Pose2, task: &Task, clock: &dyn Clock) -> Registration {
+    pub fn register(&mut self, scan: &Scan, base_from_laser: &Pose2, driver: &mut Driver) -> Registration {
         self.maintain();
         self.matched_points = None;
         self.iterations.clear();
@@ -259,48 +266,81 @@ impl LaserOdometry {
         }
         let Some(last) = self.last else { return self.answer_first(scan, base_from_laser) };
         let motion = self.predicted_motion(&last, scan.stamp());
+        let attempt = Attempt { last, motion, base_from_laser: *base_from_laser };
         let Some(keyframe) = self.keyframe else {
-            return self.answer_predicted(scan, base_from_laser, &last, &motion, None, "no reference scan".into());
+            return self.answer_predicted(scan, &attempt, None, "no reference scan".into(), true);
         };
-        let odom_from_laser = last.odom_from_base * motion * *base_from_laser;
-        let first_guess = keyframe.odom_from_laser.between(&odom_from_laser);
-        let mut refinement = self.matcher.begin(scan, first_guess);
-        let stop_reason = drive(&mut refinement, task, clock);
+        let first_guess = keyframe.odom_from_laser.between(&attempt.predicted_laser());
+        let found = self.match_to(&keyframe, scan, &attempt, first_guess, driver);
+        if matches!(found.report.stop_reason, StopReason::Budget | StopReason::Interrupted) {
+            self.unfinished = Some((scan.clone(), attempt, found.keyframe_from_laser));
+        }
+        let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
+        match found.answer {
+            Ok(answer) => self.conclude(scan, base_from_laser, answer, becomes_keyframe),
+            Err(problem) => {
+                // Where there was no time to match, nothing speaks against the keyframe.
+                let no_time = found.report.iterations == 0 && !found.report.stop_reason.is_failure();
+                self.answer_predicted(scan, &attempt, Some(found.report), problem, becomes_keyframe || !no_time)
+            }
+        }
+    }
+
+    /// Finishes the match of the last scan, if its answer had to be given before: what follows is predicted from the better pose.
+    pub fn finish(&mut self, driver: &mut Driver) {
+        let (Some((scan, attempt, reached)), Some(keyframe)) = (self.unfinished.take(), self.keyframe) else { return };
+        let found = self.match_to(&keyframe, &scan, &attempt, reached, driver);
+        let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
+        if let Ok(answer) = found.answer {
+            // As if this had been the answer; a keyframe stays one.
+            let was_keyframe = self.upcoming_keyframe.take().is_some();
+            self.counters.keyframes -= u64::from(was_keyframe);
+            self.counters.finished_later += 1;
+            self.last = Some(attempt.last);
+            self.conclude(&scan, &attempt.base_from_laser, answer, becomes_keyframe || was_keyframe);
+        }
+    }
+
+    /// Matches a scan to the keyframe, from `start` on.
+    fn match_to(&mut self, keyframe: &Keyframe, scan: &Scan, attempt: &Attempt, start: Pose2, driver: &mut Driver) -> Found {
+        let mut refinement = self.matcher.begin(scan, start);
+        let stop_reason = driver.drive(&mut refinement);
+        self.iterations.clear();
         self.iterations.extend_from_slice(refinement.trace());
-        let report = report(&refinement, stop_reason);
+        let uncertainty = refinement.uncertainty();
+        let report = report(&refinement, stop_reason, uncertainty.map(|known| known.condition_number));
         let keyframe_from_laser = refinement.pose();
-        let problem = problem(stop_reason, &report, &first_guess.between(&keyframe_from_laser), &self.knobs);
-        let match_covariance = refinement.covariance();
+        let match_covariance = uncertainty.and_then(|known| known.covariance);
+        let estimated_error = estimated_error(&refinement, match_covariance.as_ref());
         if self.keep_matched_points {
             self.matched_points = Some(matched_points(&refinement, &keyframe.odom_from_laser));
         }
-        if let Some(problem) = problem {
-            return self.answer_predicted(scan, base_from_laser, &last, &motion, Some(report), problem);
+        let odom_from_laser = keyframe.odom_from_laser * keyframe_from_laser;
+        let correction = attempt.predicted_laser().between(&odom_from_laser);
+        if let Some(problem) = problem(&report, &correction, &self.knobs) {
+            return Found { report, keyframe_from_laser, answer: Err(problem) };
         }
         // Where the scans leave a direction open, what is known of it is the prediction.
-        let match_covariance = match_covariance.unwrap_or_else(|| uncertainty::of_prediction(&motion));
-        let odom_from_laser = keyframe.odom_from_laser * keyframe_from_laser;
+        let prediction_covariance = uncertainty::of_prediction(&attempt.motion);
+        let match_covariance = match_covariance.unwrap_or(prediction_covariance);
         let laser_covariance =
             uncertainty::compound(&keyframe.odom_from_laser, &keyframe.covariance, &keyframe_from_laser, &match_covariance);
+        let laser_from_base = attempt.base_from_laser.inverse();
         let answer = Answer {
             outcome: Outcome::Matched,
-            odom_from_base: odom_from_laser * base_from_laser.inverse(),
-            covariance: uncertainty::compound(
-                &odom_from_laser,
-                &laser_covariance,
-                &base_from_laser.inverse(),
-                &PoseCovariance::zeros(),
-            ),
+            odom_from_base: odom_from_laser * laser_from_base,
+            covariance: uncertainty::compound(&odom_from_laser, &laser_covariance, &laser_from_base, &PoseCovariance::zeros()),
             step_covariance: match_covariance,
             refinement: Some(report),
-            predicted_error: ErrorEstimate::of_covariance(&uncertainty::of_prediction(&motion)),
+            predicted_error: ErrorEstimate::of_covariance(&prediction_covariance),
+            estimated_error,
         };
-        let becomes_keyframe = self.wants_keyframe(&keyframe_from_laser);
-        self.conclude(scan, base_from_laser, answer, becomes_keyframe)
+        Found { report, keyframe_from_laser, answer: Ok(answer) }
     }
 
     /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register`] does it otherwise.
     pub fn maintain(&mut self) {
+        self.unfinished = None;
         if let Some((scan, keyframe)) = self.upcoming_keyframe.take() {
             self.matcher.set_reference(&scan);
             self.keyframe = Some(keyframe);
@@ -358,31 +398,35 @@ impl LaserOdometry {
             step_covariance: PoseCovariance::zeros(),
             refinement: None,
             predicted_error: ErrorEstimate::default(),
+            estimated_error: ErrorEstimate::default(),
         };
         self.conclude(scan, base_from_laser, answer, true)
     }
 
-    /// The prediction as answer. Its scan becomes the keyframe: the one that could not be matched to must not be kept for ever.
+    /// The prediction as answer. A scan that could not be matched becomes the keyframe: the one it was to be matched to must not be
+    /// kept for ever.
     fn answer_predicted(
         &mut self,
         scan: &Scan,
-        base_from_laser: &Pose2,
-        last: &Last,
-        motion: &Pose2,
+        attempt: &Attempt,
         refinement: Option<RefinementReport>,
         problem: String,
+        becomes_keyframe: bool,
     ) -> Registration {
+        let Attempt { last, motion, base_from_laser } = attempt;
         self.counters.predicted += 1;
         let motion_covariance = uncertainty::of_prediction(motion);
+        let error = ErrorEstimate::of_covariance(&motion_covariance);
         let answer = Answer {
             outcome: Outcome::Predicted(problem),
             odom_from_base: last.odom_from_base * *motion,
             covariance: uncertainty::compound(&last.odom_from_base, &last.covariance, motion, &motion_covariance),
             step_covariance: motion_covariance,
             refinement,
-            predicted_error: ErrorEstimate::of_covariance(&motion_covariance),
+            predicted_error: error,
+            estimated_error: error,
         };
-        self.conclude(scan, base_from_laser, answer, true)
+        self.conclude(scan, base_from_laser, answer, becomes_keyframe)
     }
 
     /// An answer for a scan that could not be used at all, taken at `stamp`.
@@ -449,7 +493,7 @@ impl LaserOdometry {
             twist_covariance,
             refinement: answer.refinement,
             predicted_error: answer.predicted_error,
-            estimated_error: ErrorEstimate::of_covariance(&answer.step_covariance),
+            estimated_error: answer.estimated_error,
             new_keyframe: becomes_keyframe,
         }
     }
@@ -463,24 +507,51 @@ struct Answer {
     step_covariance: PoseCovariance,
     refinement: Option<RefinementReport>,
     predicted_error: ErrorEstimate,
+    estimated_error: ErrorEstimate,
 }
 
-fn report(refinement: &Refinement, stop_reason: StopReason) -> RefinementReport {
+/// A scan to be matched.
+#[derive(Clone, Copy)]
+struct Attempt {
+    /// The answer before.
+    last: Last,
+    /// Predicted motion of the base since then.
+    motion: Pose2,
+    base_from_laser: Pose2,
+}
+
+impl Attempt {
+    fn predicted_laser(&self) -> Pose2 {
+        self.last.odom_from_base * self.motion * self.base_from_laser
+    }
+}
+
+/// What came of an attempt.
+struct Found {
+    report: RefinementReport,
+    keyframe_from_laser: Pose2,
+    /// The answer, or why there is none, in words.
+    answer: Result<Answer, String>,
+}
+
+fn report(refinement: &Refinement, stop_reason: StopReason, condition_number: Option<f64>) -> RefinementReport {
     let last = refinement.trace().last().copied().unwrap_or_default();
     let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     RefinementReport {
         stop_reason,
         iterations: count(refinement.trace().len()),
         rays: count(refinement.rays()),
+        rays_used: last.rays,
         correspondences: last.correspondences,
         inliers: last.inliers,
         mean_residual: last.mean_residual,
-        condition_number: refinement.condition_number(),
+        condition_number: condition_number.unwrap_or(f64::INFINITY),
     }
 }
 
 /// Why the pose reached is not to be believed, if so.
-fn problem(stop_reason: StopReason, report: &RefinementReport, correction: &Pose2, knobs: &OdometryKnobs) -> Option<String> {
+fn problem(report: &RefinementReport, correction: &Pose2, knobs: &OdometryKnobs) -> Option<String> {
+    let stop_reason = report.stop_reason;
     if stop_reason.is_failure() {
         return Some(match stop_reason {
             StopReason::Singular => "the correspondences determine no pose".into(),
@@ -488,7 +559,10 @@ fn problem(stop_reason: StopReason, report: &RefinementReport, correction: &Pose
         });
     }
     if report.iterations == 0 {
-        return Some("the time budget was used up before the first iteration".into());
+        return Some(match stop_reason {
+            StopReason::Interrupted => "the answer was called for before the first iteration".into(),
+            _ => "the time budget leaves no time for an iteration".into(),
+        });
     }
     if correction.distance() > knobs.max_correction_distance || correction.theta.abs() > knobs.max_correction_angle {
         return Some(format!(

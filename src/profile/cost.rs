@@ -1,4 +1,5 @@
-//! Delay against iterations: a line through the medians, setup plus so much per iteration.
+//! What an answer costs: setup plus so much for every ray of every iteration. Iterations alone do not tell, for the first ones take few
+//! rays.
 
 use std::collections::BTreeMap;
 
@@ -9,8 +10,8 @@ use crate::evaluation::statistics::percentile;
 pub struct IterationCost {
     /// Delay without any iteration, us.
     pub setup_us: f64,
-    /// Delay of each iteration, us.
-    pub per_iteration_us: f64,
+    /// Delay of each ray of an iteration, us.
+    pub per_ray_us: f64,
 }
 
 /// The answers of so many iterations.
@@ -18,41 +19,56 @@ pub struct IterationCost {
 pub struct Level {
     /// Iterations made.
     pub iterations: u32,
+    /// Rays that took part in all of them together, median.
+    pub rays: u64,
     /// Median delay, us.
     pub delay_us: f64,
     /// Number of answers.
     pub count: usize,
 }
 
-/// The median delay for each number of iterations, of (iterations, delay in us).
-pub fn levels(answers: impl IntoIterator<Item = (u32, f64)>) -> Vec<Level> {
-    let mut delays: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
-    for (iterations, delay) in answers {
-        delays.entry(iterations).or_default().push(delay);
+/// The medians for each number of iterations, of (iterations, rays, delay in us).
+pub fn levels(answers: impl IntoIterator<Item = (u32, u64, f64)>) -> Vec<Level> {
+    let mut by_iterations: BTreeMap<u32, (Vec<u64>, Vec<f64>)> = BTreeMap::new();
+    for (iterations, rays, delay) in answers {
+        let (all_rays, delays) = by_iterations.entry(iterations).or_default();
+        all_rays.push(rays);
+        delays.push(delay);
     }
-    let level = |(iterations, mut delays): (u32, Vec<f64>)| {
+    let level = |(iterations, (mut rays, mut delays)): (u32, (Vec<u64>, Vec<f64>))| {
+        rays.sort_unstable();
         delays.sort_by(f64::total_cmp);
-        Some(Level { iterations, delay_us: percentile(&delays, 50)?, count: delays.len() })
+        let (rays, delay_us) = (percentile(&rays, 50)?, percentile(&delays, 50)?);
+        Some(Level { iterations, rays, delay_us, count: delays.len() })
     };
-    delays.into_iter().filter_map(level).collect()
+    by_iterations.into_iter().filter_map(level).collect()
 }
 
-/// The line through the levels; `None` when all answers took as many iterations.
+impl IterationCost {
+    /// The delay to expect of so many rays in all iterations together, us.
+    pub fn delay_us(&self, rays: u64) -> f64 {
+        self.setup_us + self.per_ray_us * rays as f64
+    }
+}
+
+/// The line through the levels; `None` when all answers took as many rays.
 ///
 /// Weighted median of the slopes of all pairs of levels (P. K. Sen, JASA 1968), then of the intercepts: a preempted or cold answer moves
-/// neither. A pair weighs as many answers and iterations as it spans.
+/// neither. A pair weighs as many answers and rays as it spans.
 pub fn fit(levels: &[Level]) -> Option<IterationCost> {
     let mut slopes = Vec::new();
     for (i, a) in levels.iter().enumerate() {
         for b in &levels[i + 1..] {
-            let run = f64::from(b.iterations) - f64::from(a.iterations);
-            slopes.push(((b.delay_us - a.delay_us) / run, (a.count * b.count) as f64 * run));
+            let run = b.rays as f64 - a.rays as f64;
+            if run != 0.0 {
+                slopes.push(((b.delay_us - a.delay_us) / run, (a.count * b.count) as f64 * run.abs()));
+            }
         }
     }
-    let per_iteration_us = weighted_median(slopes)?;
-    let intercept = |level: &Level| (level.delay_us - per_iteration_us * f64::from(level.iterations), level.count as f64);
+    let per_ray_us = weighted_median(slopes)?;
+    let intercept = |level: &Level| (level.delay_us - per_ray_us * level.rays as f64, level.count as f64);
     let setup_us = weighted_median(levels.iter().map(intercept).collect())?;
-    Some(IterationCost { setup_us, per_iteration_us })
+    Some(IterationCost { setup_us, per_ray_us })
 }
 
 /// The value below which half of the weight of (value, weight) lies.
@@ -78,15 +94,15 @@ mod tests {
         let answers = (1..200_u32).map(|i| {
             let iterations = 1 + i % 9;
             let held_up = if i % 7 == 0 { 5000.0 } else { f64::from(i % 3) };
-            (iterations, 100.0 + 50.0 * f64::from(iterations) + held_up)
+            (iterations, u64::from(100 * iterations), 100.0 + 50.0 * f64::from(iterations) + held_up)
         });
         let cost = fit(&levels(answers)).unwrap();
-        assert!((cost.per_iteration_us - 50.0).abs() < 0.5 && (cost.setup_us - 101.0).abs() < 3.0, "{cost:?}");
+        assert!((cost.per_ray_us - 0.5).abs() < 0.005 && (cost.setup_us - 101.0).abs() < 3.0, "{cost:?}");
     }
 
     #[test]
     fn one_level_makes_no_line() {
-        assert_eq!(fit(&levels([(3, 10.0), (3, 11.0)])), None);
+        assert_eq!(fit(&levels([(3, 300, 10.0), (3, 300, 11.0)])), None);
         assert_eq!(fit(&[]), None);
     }
 }

@@ -28,7 +28,7 @@ const FIGURES: [&str; 16] = [
     "drift_per_m_rmse_rad",
     "mean_iterations",
 ];
-const SCAN: [&str; 11] = [
+const SCAN: [&str; 12] = [
     "knob",
     "value",
     "unit",
@@ -37,6 +37,7 @@ const SCAN: [&str; 11] = [
     "matched",
     "delay_us",
     "iterations",
+    "rays",
     "mean_residual_m",
     "position_error_m",
     "orientation_error_rad",
@@ -97,6 +98,7 @@ fn scan_row(case: &Case, round: u32, scan: &ScanRecord) -> Vec<String> {
         scan.matched.to_string(),
         format!("{:.3}", scan.delay_us),
         scan.iterations.to_string(),
+        scan.rays.to_string(),
         or_empty(scan.mean_residual),
         or_empty(scan.error.map(|error| error.distance())),
         or_empty(scan.error.map(|error| error.theta.abs())),

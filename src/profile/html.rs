@@ -117,10 +117,15 @@ fn table<'a>(header: &[&str], rows: impl Iterator<Item = Vec<String>> + 'a) -> S
 fn cost_table(results: &Results) -> String {
     let rows = results.costs.iter().map(|cost| {
         let figure = |us: Option<f64>| us.map_or_else(|| "-".into(), |us| format!("{us:.1}"));
-        let (setup, per_iteration) = cost.model.map(|model| (model.setup_us, model.per_iteration_us)).unzip();
-        vec![cost.variant.to_string(), figure(setup), figure(per_iteration)]
+        let all_rays = results.provenance.beams as f64;
+        let costs = cost.model.map(|model| [model.setup_us, 1e3 * model.per_ray_us, all_rays * model.per_ray_us]);
+        let figures = (0..3).map(|k| figure(costs.map(|costs| costs[k])));
+        [cost.variant.to_string()].into_iter().chain(figures).collect()
     });
-    format!("<h2 id=\"cost\">Cost of an iteration</h2>\n{}", table(&["variant", "setup [us]", "per iteration [us]"], rows))
+    format!(
+        "<h2 id=\"cost\">Cost of an iteration</h2>\n{}",
+        table(&["variant", "setup [us]", "per ray [ns]", "iteration of all rays [us]"], rows)
+    )
 }
 
 fn summary_tables(results: &Results) -> String {

@@ -32,6 +32,7 @@ use crate::evaluation::association::AssociationError;
 use crate::evaluation::plot::PlotError;
 use crate::evaluation::trajectory::TrajectoryError;
 use crate::io::bag::BagError;
+use crate::io::cost_file::CostFileError;
 
 /// Why a study was not done.
 #[derive(Debug, Error)]
@@ -45,6 +46,9 @@ pub enum ProfileError {
     /// The contract of the configuration is none.
     #[error(transparent)]
     Contract(#[from] ContractError),
+    /// The file of learned costs cannot be read.
+    #[error(transparent)]
+    CostFile(#[from] CostFileError),
     /// The answers make no trajectory.
     #[error("the answers make no trajectory: {0} (is there a scan that can be read on the topic?)")]
     Trajectory(#[from] TrajectoryError),

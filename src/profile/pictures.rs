@@ -248,13 +248,15 @@ fn pose_errors(results: &Results) -> Result<Picture, ProfileError> {
 fn delay_by_iterations(results: &Results) -> Result<Picture, ProfileError> {
     let of_search = |&search: &Correspondence| {
         let costs: Vec<_> = results.costs.iter().filter(|cost| cost.variant.search == search).collect();
-        let most = costs.iter().flat_map(|cost| &cost.levels).map(|level| level.iterations).max()?;
+        if costs.is_empty() {
+            return None;
+        }
         let series = costs.into_iter().flat_map(|cost| {
             let look = look(cost.variant);
             let points = cost.levels.iter().map(|level| (f64::from(level.iterations), level.delay_us)).collect();
             let line = cost.model.map(|model| {
-                let at = |n: f64| (n, model.setup_us + model.per_iteration_us * n);
-                vec![at(0.0), at(f64::from(most))]
+                let at_levels = cost.levels.iter().map(|level| (f64::from(level.iterations), model.delay_us(level.rays)));
+                [(0.0, model.setup_us)].into_iter().chain(at_levels).collect()
             });
             [
                 Series { name: String::new(), look: Look { mark: Mark::None, ..look }, points: line.unwrap_or_default() },
@@ -269,8 +271,8 @@ fn delay_by_iterations(results: &Results) -> Result<Picture, ProfileError> {
     Ok(Picture {
         name: "delay_by_iterations".into(),
         title: "Delay by iterations, and the fitted cost".into(),
-        caption: "Signs: the median delay of all answers that took so many iterations. Lines: setup plus so much per iteration, by the \
-                  weighted median of slopes, which answers that were held up do not move."
+        caption: "Signs: the median delay of all answers that took so many iterations. Lines: setup plus so much per ray of \
+                  each iteration (the first ones take few), by the weighted median of slopes, which answers that were held up do not move."
             .into(),
         svg: curves(&panels)?,
     })

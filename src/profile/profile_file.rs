@@ -57,8 +57,8 @@ pub struct VariantProfile {
     pub measured_by: String,
     /// Delay without any iteration, us, on the machine of the study.
     pub setup_us: Option<f64>,
-    /// Delay of each iteration, us, on the machine of the study.
-    pub per_iteration_us: Option<f64>,
+    /// Delay of each ray of an iteration, us, on the machine of the study.
+    pub per_ray_us: Option<f64>,
     /// By rising budget.
     pub budgets: Vec<Budget>,
 }
@@ -179,8 +179,8 @@ impl VariantProfile {
                 *figure(&mut budget.error) = value;
             }
         }
-        let (setup_us, per_iteration_us) = cost.map(|cost| (cost.setup_us, cost.per_iteration_us)).unzip();
-        Some(Self { measured_by: knob.name().into(), setup_us, per_iteration_us, budgets })
+        let (setup_us, per_ray_us) = cost.map(|cost| (cost.setup_us, cost.per_ray_us)).unzip();
+        Some(Self { measured_by: knob.name().into(), setup_us, per_ray_us, budgets })
     }
 
     /// The error to expect within a budget: on the line between the budgets measured; beyond the longest that of the longest. `None` below
@@ -262,7 +262,7 @@ mod tests {
         VariantProfile {
             measured_by: "time_budget".into(),
             setup_us: None,
-            per_iteration_us: None,
+            per_ray_us: None,
             budgets: errors.iter().map(budget).collect(),
         }
     }

@@ -13,6 +13,7 @@ use crate::evaluation::rpe::rpe;
 use crate::evaluation::trajectory::{StampedPose, Trajectory};
 use crate::geometry::{Point, Pose2};
 use crate::io::bag::Bag;
+use crate::matching::IterationTrace;
 use crate::replay::map_sketch::MapSketch;
 use crate::replay::{Topics, microseconds, replay};
 use crate::time::Stamp;
@@ -44,6 +45,8 @@ pub struct ScanRecord {
     pub delay_us: f64,
     /// Iterations made.
     pub iterations: u32,
+    /// Rays that took part, summed over the iterations.
+    pub rays: u64,
     /// Mean absolute error of the last iteration's inliers, m; `None` when there was no match.
     pub mean_residual: Option<f64>,
     /// The aligned pose seen from the true one; `None` where no truth is near in time.
@@ -76,6 +79,9 @@ pub fn run(
     on_message: impl FnMut(),
 ) -> Result<Run, ProfileError> {
     let mut app = App::new(config, Arc::clone(clock))?;
+    if app.contract().time_budget.is_some() {
+        app.warm_up()?; // without a budget nothing asks for costs
+    }
     let mut sketch = MapSketch::default();
     let mut run = Run::default();
     let scans = input.bag.message_count(Some(&[&input.topics.scan]));
@@ -90,7 +96,7 @@ pub fn run(
         if keep_points {
             sketch.add(message, estimate, app);
         }
-        run.scans.push(record(estimate));
+        run.scans.push(record(estimate, app.iterations()));
         Ok(())
     })?;
     run.scan_points = sketch.points().to_vec();
@@ -98,7 +104,7 @@ pub fn run(
     Ok(run)
 }
 
-fn record(estimate: &Estimate) -> ScanRecord {
+fn record(estimate: &Estimate, iterations: &[IterationTrace]) -> ScanRecord {
     let registration = &estimate.registration;
     ScanRecord {
         stamp: estimate.stamp,
@@ -106,6 +112,7 @@ fn record(estimate: &Estimate) -> ScanRecord {
         matched: registration.outcome.is_ok(),
         delay_us: microseconds(estimate.elapsed),
         iterations: registration.refinement.map_or(0, |r| r.iterations),
+        rays: iterations.iter().map(|iteration| u64::from(iteration.rays)).sum(),
         mean_residual: registration.refinement.map(|r| r.mean_residual),
         error: None,
     }

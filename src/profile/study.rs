@@ -205,7 +205,7 @@ fn costs(cases: &[CaseSummary], runs: &[Run]) -> Vec<VariantCost> {
     let answers = |variant: Variant| {
         let of_variant = move |summary: &CaseSummary| summary.case.variant == variant && summary.case.knob != Knob::Beams;
         let runs = cases.iter().zip(runs).filter(move |(summary, _)| of_variant(summary)).map(|(_, run)| run);
-        runs.flat_map(|run| &run.scans).filter(|scan| scan.iterations > 0).map(|scan| (scan.iterations, scan.delay_us))
+        runs.flat_map(|run| &run.scans).filter(|scan| scan.iterations > 0).map(|scan| (scan.iterations, scan.rays, scan.delay_us))
     };
     variants
         .into_iter()

@@ -11,7 +11,7 @@ pub struct CsvFile<W: Write> {
     writer: csv::Writer<W>,
 }
 
-const HEADER: [&str; 20] = [
+const HEADER: [&str; 21] = [
     "stamp",
     "x_m",
     "y_m",
@@ -20,6 +20,7 @@ const HEADER: [&str; 20] = [
     "stop_reason",
     "iterations",
     "rays",
+    "rays_used",
     "correspondences",
     "inliers",
     "mean_residual_m",
@@ -52,12 +53,13 @@ impl<W: Write> CsvFile<W> {
             Outcome::Predicted(problem) => ("predicted", problem.as_str()),
         };
         let of_match = registration.refinement.map_or_else(
-            || vec![String::new(); 7],
+            || vec![String::new(); 8],
             |r| {
                 vec![
                     r.stop_reason.name().into(),
                     r.iterations.to_string(),
                     r.rays.to_string(),
+                    r.rays_used.to_string(),
                     r.correspondences.to_string(),
                     r.inliers.to_string(),
                     format!("{:.6}", r.mean_residual),

@@ -9,6 +9,7 @@ pub mod truth;
 use std::time::Duration;
 
 use crate::anytime::clock::Clock;
+use crate::anytime::interrupt::Never;
 use crate::app::{App, Estimate};
 use crate::io::bag::{Bag, BagError, BagMessage};
 use crate::messages::nav_msgs::Odometry;
@@ -84,9 +85,10 @@ pub fn replay<E: From<BagError>>(
         let arrival = clock.now();
         match held.message.decode::<LaserScan>() {
             Ok(scan) => {
-                let estimate = app.on_scan(&scan, arrival);
+                let mut estimate = app.on_scan(&scan, arrival);
+                app.conclude(&mut estimate);
                 on_estimate(&scan, &estimate, app)?;
-                app.maintain();
+                app.maintain(&Never);
             }
             Err(error) => log.note(&error),
         }

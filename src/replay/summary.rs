@@ -87,11 +87,8 @@ impl Summary {
             *self.failures.entry(kind.to_owned()).or_default() += 1;
         }
         self.budget = estimate.contract.time_budget.or(self.budget);
-        if !estimate.deadline_met() {
-            self.misses += 1;
-            let overrun = estimate.elapsed.saturating_sub(estimate.contract.time_budget.unwrap_or_default());
-            self.worst_overrun = self.worst_overrun.max(overrun);
-        }
+        self.misses += usize::from(!estimate.deadline_met());
+        self.worst_overrun = self.worst_overrun.max(estimate.overrun());
         pose
     }
 

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anytime_scan_matcher::geometry::{Point, Pose2};
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::scan::{BeamGeometry, Scan};
 use anytime_scan_matcher::time::Stamp;
 use rand::RngExt;
@@ -58,6 +59,24 @@ impl Laser {
 
     pub fn geometry(&self) -> Arc<BeamGeometry> {
         Arc::new(BeamGeometry::new(self.angle_min, self.increment, self.beams))
+    }
+
+    /// The room seen from `pose`, without noise, as a message of the frame `laser`.
+    #[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
+    pub fn message(&self, stamp: Stamp, pose: Pose2) -> LaserScan {
+        let range = |&direction: &Point| room_range(pose.translation(), pose.transform().rotate(direction)) as f32;
+        let mut message = LaserScan {
+            angle_min: self.angle_min as f32,
+            angle_max: (self.angle_min + (self.beams - 1) as f64 * self.increment) as f32,
+            angle_increment: self.increment as f32,
+            range_min: 0.05,
+            range_max: 30.0,
+            ranges: self.geometry().directions().iter().map(range).collect(),
+            ..LaserScan::default()
+        };
+        message.header.frame_id = "laser".into();
+        message.header.stamp = stamp.into();
+        message
     }
 
     /// The room seen from `pose`, with normal noise (m) and a part of the rays lost.

@@ -25,6 +25,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let truth = arguments.input.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
     let clock = arguments.input.clock.clock();
     let mut app = App::new(&config, Arc::clone(&clock))?;
+    app.warm_up()?;
     let files = OutputFiles { tum: arguments.tum.clone(), csv: arguments.csv.clone() };
     let mut recorder = Recorder::create(files, arguments.plot.is_some())?;
     let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
@@ -32,6 +33,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let log =
         replay::<RecordError>(&bag, &topics, &mut app, &*clock, tick, |scan, estimate, app| recorder.add(scan, estimate, app))?;
     progress.finish_and_clear();
+    app.store_costs()?;
     let summary = recorder.summary();
     anyhow::ensure!(!summary.poses().is_empty(), "{}: no scan on {} could be read", arguments.bag.display(), topics.scan);
     let trajectory = Trajectory::new(summary.poses().to_vec())?;

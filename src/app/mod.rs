@@ -1,15 +1,21 @@
 //! The application: messages in, estimates out. The node and the offline tool both drive this, so that a replay is what ran live.
 
+mod warm_up;
+
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use thiserror::Error;
 
-use crate::anytime::Task;
 use crate::anytime::clock::Clock;
 use crate::anytime::contract::{Contract, ContractError};
+use crate::anytime::cost_model::{CostModel, Phase};
+use crate::anytime::interrupt::{Interrupt, Never};
+use crate::anytime::{Driver, ErrorEstimate, Task};
 use crate::config::Config;
 use crate::geometry::{Pose2, Twist2};
+use crate::io::cost_file::{self, CostFileError};
 use crate::matching::IterationTrace;
 use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
 use crate::messages::nav_msgs::Odometry;
@@ -59,14 +65,33 @@ pub struct Estimate {
     pub registration: Registration,
     /// The contract that was in force.
     pub contract: Contract,
-    /// Time from the scan's arrival to this answer.
+    /// Time from the scan's arrival to this answer; once it is concluded, to its pose handed over.
     pub elapsed: Duration,
+    /// Reading of the clock when the scan arrived.
+    arrival: Duration,
+    /// Reading of the clock when the refinement was over, if there was one.
+    refined: Option<Duration>,
 }
 
 impl Estimate {
     /// Whether the answer is within the time budget; without one it always is.
     pub fn deadline_met(&self) -> bool {
-        self.contract.time_budget.is_none_or(|budget| self.elapsed <= budget)
+        self.overrun().is_zero()
+    }
+
+    /// How much later than asked for the answer is.
+    pub fn overrun(&self) -> Duration {
+        self.contract.time_budget.map_or(Duration::ZERO, |budget| self.elapsed.saturating_sub(budget))
+    }
+
+    /// By how much the estimated error misses the bounds; zero where it keeps them, or there is none.
+    pub fn error_excess(&self) -> ErrorEstimate {
+        let excess = |error: f64, bound: Option<f64>| bound.map_or(0.0, |bound| (error - bound).max(0.0));
+        let error = self.registration.estimated_error;
+        ErrorEstimate {
+            translation: excess(error.translation, self.contract.translation_error_bound),
+            rotation: excess(error.rotation, self.contract.rotation_error_bound),
+        }
     }
 }
 
@@ -98,6 +123,8 @@ pub enum MountSource {
 pub struct App {
     config: Config,
     clock: Arc<dyn Clock>,
+    interrupt: Arc<dyn Interrupt>,
+    costs: CostModel,
     contract: Contract,
     odometry: LaserOdometry,
     converter: ScanConverter,
@@ -114,6 +141,8 @@ impl App {
         Ok(Self {
             config: config.clone(),
             clock,
+            interrupt: Arc::new(Never),
+            costs: CostModel::new(config.contract.confidence),
             contract: Contract::try_from(&config.contract)?,
             odometry: LaserOdometry::new(&config.odometry, &config.matching, &config.rejection),
             converter: ScanConverter::default(),
@@ -124,23 +153,56 @@ impl App {
         })
     }
 
+    /// Gets ready for the first scan: practises on simulated ones, and reads the file of costs, if there is one.
+    pub fn warm_up(&mut self) -> Result<(), CostFileError> {
+        self.costs = warm_up::practise(self);
+        match &self.config.contract.cost_file {
+            Some(path) => cost_file::read(Path::new(path), &mut self.costs).map(drop),
+            None => Ok(()),
+        }
+    }
+
+    /// Writes the learned costs to their file, if one is wanted.
+    pub fn store_costs(&self) -> Result<(), CostFileError> {
+        match &self.config.contract.cost_file {
+            Some(path) => cost_file::write(Path::new(path), &self.costs),
+            None => Ok(()),
+        }
+    }
+
+    /// From now on `interrupt` may end a refinement early.
+    pub fn set_interrupt(&mut self, interrupt: Arc<dyn Interrupt>) {
+        self.interrupt = interrupt;
+    }
+
     /// Answers a scan that arrived when the clock read `arrival`. Always answers: for a scan that is unusable, with the prediction.
+    /// [`Self::conclude`] is to follow.
     pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration) -> Estimate {
         let stamp = message.header.stamp.into();
         self.counters.scans += 1;
+        let task = Task { contract: self.contract, arrival, taken_up: self.clock.now() };
         self.update_mount(&message.header.frame_id);
-        let task = Task { contract: self.contract, arrival };
+        let mut driver = Driver::new(task, &*self.clock, &*self.interrupt, &mut self.costs);
         let registration = match self.converter.convert(message, self.mount.upside_down) {
-            Ok(scan) => self.odometry.register(&scan, &self.mount.base_from_laser, &task, &*self.clock),
+            Ok(scan) => self.odometry.register(&scan, &self.mount.base_from_laser, &mut driver),
             Err(error) => {
                 self.counters.malformed_scans += 1;
                 self.odometry.answer_unusable(stamp, format!("malformed scan: {error}"))
             }
         };
+        let refined = driver.refined();
         let elapsed = self.clock.now().saturating_sub(arrival);
-        let estimate = Estimate { stamp, registration, contract: self.contract, elapsed };
+        Estimate { stamp, registration, contract: self.contract, elapsed, arrival, refined }
+    }
+
+    /// To be called once the pose of `estimate` has been handed over: takes the time.
+    pub fn conclude(&mut self, estimate: &mut Estimate) {
+        let now = self.clock.now();
+        estimate.elapsed = now.saturating_sub(estimate.arrival);
         self.counters.deadline_misses += u64::from(!estimate.deadline_met());
-        estimate
+        if let (Some(report), Some(refined)) = (&estimate.registration.refinement, estimate.refined) {
+            self.costs.observe(Phase::Closing, report.rays_used as usize, now.saturating_sub(refined));
+        }
     }
 
     /// How long to hold back a scan of this stamp for odometry that it needs and that has not come yet; `None`: answer it now. A scan
@@ -151,9 +213,22 @@ impl App {
         (!wait.is_zero() && self.odometry.awaits_odometry(stamp)).then_some(wait)
     }
 
-    /// Work that can wait until an answer is out. The next scan is answered sooner for it.
-    pub fn maintain(&mut self) {
+    /// Work that can wait until an answer is out: the next scan is answered sooner and better for it. `interrupt`: the next scan is
+    /// here.
+    pub fn maintain(&mut self, interrupt: &dyn Interrupt) {
+        let now = self.clock.now();
+        let contract = Contract { time_budget: None, ..self.contract };
+        let task = Task { contract, arrival: now, taken_up: now };
+        if self.config.contract.finish_after_answer {
+            self.odometry.finish(&mut Driver::new(task, &*self.clock, interrupt, &mut self.costs));
+        }
         self.odometry.maintain();
+        self.costs.learn();
+    }
+
+    /// What answers cost here.
+    pub fn costs(&self) -> &CostModel {
+        &self.costs
     }
 
     /// Takes wheel odometry.
@@ -203,7 +278,7 @@ impl App {
         self.odometry.matched_points()
     }
 
-    /// What each iteration of the last answer's match did; empty where there was no match.
+    /// What each iteration of the last match did; empty where there was none for the last answer.
     pub fn iterations(&self) -> &[IterationTrace] {
         self.odometry.iterations()
     }

@@ -1,0 +1,74 @@
+//! Learned costs as a YAML file.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use crate::anytime::cost_model::{CostEntry, CostModel};
+
+/// Why costs cannot be read or written.
+#[derive(Debug, Error)]
+pub enum CostFileError {
+    /// The system refuses.
+    #[error("cannot {action} the cost file {}: {problem}", path.display())]
+    System {
+        /// What was tried.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        problem: io::Error,
+    },
+    /// It holds something else.
+    #[error("{} is no cost file (delete it, it is made anew on exit): {problem}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What does not fit, with its line.
+        problem: String,
+    },
+}
+
+/// Tells `costs` what the file knows; whether there is a file.
+pub fn read(path: &Path, costs: &mut CostModel) -> Result<bool, CostFileError> {
+    let text = match std::fs::read_to_string(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+        text => text.map_err(|problem| CostFileError::System { action: "read", path: path.into(), problem })?,
+    };
+    let content = |problem: serde_saphyr::Error| CostFileError::Content { path: path.into(), problem: problem.to_string() };
+    let entries: Vec<CostEntry> = serde_saphyr::from_str(&text).map_err(content)?;
+    costs.recall(&entries);
+    Ok(true)
+}
+
+/// Writes what `costs` knows.
+pub fn write(path: &Path, costs: &CostModel) -> Result<(), CostFileError> {
+    let system = |problem| CostFileError::System { action: "write", path: path.into(), problem };
+    let text = serde_saphyr::to_string(&costs.entries()).map_err(|error| system(io::Error::other(error.to_string())))?;
+    std::fs::write(path, text).map_err(system)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::anytime::cost_model::Phase;
+    use std::time::Duration;
+
+    #[test]
+    fn costs_survive_in_a_file_and_other_files_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("costs.yaml");
+        let mut costs = CostModel::new(0.99);
+        assert!(!read(&path, &mut costs).unwrap());
+        costs.observe(Phase::Iteration, 128, Duration::from_micros(20));
+        costs.learn();
+        write(&path, &costs).unwrap();
+        let mut again = CostModel::new(0.99);
+        assert!(read(&path, &mut again).unwrap());
+        assert_eq!(again.typical(Phase::Iteration, 128), costs.typical(Phase::Iteration, 128));
+        std::fs::write(&path, "[1, 2").unwrap();
+        let problem = read(&path, &mut again).unwrap_err().to_string();
+        assert!(problem.contains("costs.yaml") && problem.contains("delete it"), "{problem}");
+    }
+}

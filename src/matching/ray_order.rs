@@ -1,0 +1,54 @@
+//! The order in which rays take part: coarse to fine, every beginning of it spread over the whole field of view.
+//!
+//! Ray `i` has the bits of `i` read backwards as its place in the order (the van der Corput sequence): the first 2^k of them are
+//! evenly spaced, and a longer beginning contains every shorter one.
+
+/// A beginning of the order.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RayOrder {
+    shift: u32,
+    limit: u64,
+}
+
+impl RayOrder {
+    /// About the first `count` of `total` rays: exact for a power of two of them, and for all.
+    pub(super) fn first(count: usize, total: usize) -> Self {
+        let places = total.max(2).next_power_of_two();
+        let limit = if count >= total { places as u64 } else { (count as u64 * places as u64).div_ceil(total as u64) };
+        Self { shift: u64::BITS - places.trailing_zeros(), limit }
+    }
+
+    /// Whether ray `i` is among them.
+    #[inline]
+    pub(super) fn contains(&self, i: usize) -> bool {
+        (i as u64).reverse_bits() >> self.shift < self.limit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chosen(count: usize, total: usize) -> Vec<usize> {
+        let order = RayOrder::first(count, total);
+        (0..total).filter(|&i| order.contains(i)).collect()
+    }
+
+    #[test]
+    fn a_beginning_covers_the_whole_sweep_and_contains_the_shorter_ones() {
+        for total in [10, 181, 361, 1024, 1081, 10_000] {
+            let mut shorter: Vec<usize> = Vec::new();
+            for count in [1, 4, 10, 64, 100, 512, 1000, total] {
+                let longer = chosen(count.min(total), total);
+                assert!(shorter.iter().all(|i| longer.contains(i)), "{count} of {total}");
+                let expected = count.min(total);
+                assert!(longer.len().abs_diff(expected) <= 1 + expected / 8, "{} for {count} of {total}", longer.len());
+                // No hole is longer than that of half as many rays.
+                let widest = longer.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(total);
+                assert!(widest <= (4 * total).div_ceil(expected).max(1), "{widest} between {count} of {total}");
+                shorter = longer;
+            }
+            assert_eq!(shorter, (0..total).collect::<Vec<_>>());
+        }
+    }
+}
