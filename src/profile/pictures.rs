@@ -92,12 +92,12 @@ fn delay_error(results: &Results, knob: Knob) -> Result<Picture, ProfileError> {
     let curve = |variant: Variant, error: Error| Series {
         name: String::new(),
         look: look(variant),
-        points: results.of(variant, knob).into_iter().map(|case| (case.figures.delay.mean, error(case))).collect(),
+        points: results.of(variant, knob).into_iter().map(|case| (case.figures.delay.p50, error(case))).collect(),
     };
     let of_all = |label: &str, error: Error| {
         let mut series = [solver_legend(results), search_legend(results)].concat();
         series.extend(results.variants().into_iter().map(|variant| curve(variant, error)));
-        panel("mean delay [us]", label, (Scale::Logarithmic, Scale::Logarithmic), 560, series)
+        panel("median delay [us]", label, (Scale::Logarithmic, Scale::Logarithmic), 560, series)
     };
     let panels = [
         of_all("position RMSE [mm]", |case| 1e3 * case.figures.position.rmse()),
@@ -111,7 +111,7 @@ fn delay_error(results: &Results, knob: Knob) -> Result<Picture, ProfileError> {
         name: format!("delay_error_{}", knob.name()),
         title: format!("Delay and error by {}", knob.name()),
         caption: format!(
-            "A sign for each value of {}: {}. Delay: from a scan's arrival to its answer, the mean over all scans, the median of the \
+            "A sign for each value of {}: {}. Delay: from a scan's arrival to its answer, the median over all scans and then over the \
              rounds. Error: root mean square after alignment. Colours are solvers; lines and signs are searches, which are all exact: \
              but for ties they differ in delay only.",
             knob.name(),

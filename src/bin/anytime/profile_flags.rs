@@ -17,7 +17,7 @@ use crate::simulation_flags::SimulationFlags;
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// The bag; or --world
-    #[arg(required_unless_present = "world", conflicts_with = "world")]
+    #[arg(required_unless_present = "world", conflicts_with_all = ["world", "SimulationFlags"])]
     pub(crate) bag: Option<PathBuf>,
     /// Simulate the drive first, into DIR/drive.bag: in corridor, room, or the YAML file of a map
     #[arg(long)]

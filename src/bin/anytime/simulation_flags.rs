@@ -10,7 +10,6 @@ use clap::Args;
 use crate::knob_flags::{help, set, value};
 
 #[derive(Args)]
-#[group(requires = "world")]
 pub(crate) struct SimulationFlags {
     #[arg(long, value_parser = value, help = help::<DriveKnobs>("duration"))]
     duration: Option<Value>,
