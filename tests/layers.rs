@@ -9,7 +9,7 @@ const LAYERS: [&[&str]; 9] = [
     &["time", "geometry"],
     &["knobs"],
     &["messages"],
-    &["scan", "transforms"],
+    &["scan", "transforms", "shared_memory"],
     &["matching", "simulation", "evaluation"],
     &["anytime"],
     &["odometry", "io"],
