@@ -21,10 +21,12 @@
  *
  * The protocol. All words are counts that wrap around; none is ever set back. An edge is the difference of two counts, so that
  * none is lost by looking late, and none seen twice.
- *   A controller adds 1 to `requested` (acquire, release); the sum is the number of its request. It wakes the futex `requested`.
+ *   A controller adds 1 to `requested`; the sum is the number of its request. Then it looks at `idle` (both sequentially
+ *   consistent): if it is set, it wakes the futex `requested`.
  *   A node at work on a scan looks between iterations whether `requested` is beyond `acknowledged`. With the estimate complete it
- *   writes it, adds 1 to `completed`, sets `acknowledged` to `requested` (release) and wakes both futexes. An idle node does the
- *   last step only: the answer is the newest estimate there is.
+ *   writes it, adds 1 to `completed` (release), sets `idle`, then looks at `requested` (both sequentially consistent), stores that
+ *   as `acknowledged` (release) and wakes both futexes. An idle node, once woken, does the last step only: the answer is the newest
+ *   estimate there is. Taking up a scan it clears `idle` and does the same once more: later requests are for that scan.
  *   A controller's request is answered once `acknowledged` (acquire) has reached its number; any number of controllers may ask.
  *   The estimate is written and read through a sequence lock. Writer: sequence + 1 (odd); release fence; fields; sequence + 1
  *   (release). Reader: sequence (acquire); fields; acquire fence; sequence again: the same even number, or read again.
@@ -64,7 +66,7 @@ extern "C" {
 #define ANYTIME_VERSION 1u
 #define ANYTIME_SIZE 512u
 /* A wait looks at memory for this long before it sleeps, ns. */
-#define ANYTIME_SPIN INT64_C(50000)
+#define ANYTIME_SPIN INT64_C(10000)
 /* Who sleeps looks this often whether the node lives, ns. */
 #define ANYTIME_PEER_CHECK INT64_C(50000000)
 
@@ -119,7 +121,8 @@ struct anytime_segment {
   uint8_t padding_of_controller[124];
   uint32_t acknowledged; /* number of the last request answered, and with it of all before; by the node; futex */
   uint32_t completed;    /* estimates completed; parity: the topic icp_state; by the node; futex */
-  uint8_t padding_of_node[120];
+  uint32_t idle;         /* 1: a request must wake the futex `requested`; by the node */
+  uint8_t padding_of_node[116];
   uint32_t sequence; /* odd while the node writes what follows */
   uint32_t flags;
   uint32_t number;
@@ -146,6 +149,7 @@ ANYTIME_ASSERT(offsetof(struct anytime_segment, closed) == 20);
 ANYTIME_ASSERT(offsetof(struct anytime_segment, requested) == 128);
 ANYTIME_ASSERT(offsetof(struct anytime_segment, acknowledged) == 256);
 ANYTIME_ASSERT(offsetof(struct anytime_segment, completed) == 260);
+ANYTIME_ASSERT(offsetof(struct anytime_segment, idle) == 264);
 ANYTIME_ASSERT(offsetof(struct anytime_segment, sequence) == 384);
 ANYTIME_ASSERT(offsetof(struct anytime_segment, flags) == 388);
 ANYTIME_ASSERT(offsetof(struct anytime_segment, number) == 392);
@@ -234,8 +238,10 @@ static inline int anytime_open(struct anytime_client *client, const char *name) 
 /* Calls for the answer now; the number of the request. */
 static inline uint32_t anytime_request(const struct anytime_client *client) {
   uint32_t *requested = &client->segment->requested;
-  uint32_t number = __atomic_add_fetch(requested, 1, __ATOMIC_ACQ_REL);
-  syscall(SYS_futex, requested, FUTEX_WAKE, INT32_MAX, NULL, NULL, 0);
+  uint32_t number = __atomic_add_fetch(requested, 1, __ATOMIC_SEQ_CST);
+  if (__atomic_load_n(&client->segment->idle, __ATOMIC_SEQ_CST) != 0) {
+    syscall(SYS_futex, requested, FUTEX_WAKE, INT32_MAX, NULL, NULL, 0);
+  }
   return number;
 }
 

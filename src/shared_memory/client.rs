@@ -2,7 +2,7 @@
 
 use std::hint;
 use std::sync::atomic::AtomicU32;
-use std::sync::atomic::Ordering::{AcqRel, Acquire, Relaxed};
+use std::sync::atomic::Ordering::{Acquire, Relaxed, SeqCst};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -16,8 +16,9 @@ use super::layout::{MAGIC, SIZE, VERSION};
 use super::mapping::Mapping;
 use super::name;
 
-/// Waits look at memory for this long before they sleep: waking up takes longer than most answers.
-pub const SPIN: Duration = Duration::from_micros(50);
+/// Waits look at memory for this long before they sleep: about as long as waking up takes. Longer would not help where the node has
+/// the same processor, and can only answer once the controller sleeps.
+pub const SPIN: Duration = Duration::from_micros(10);
 
 /// Who sleeps looks this often whether the node still lives. (A node that closes the segment wakes all at once.)
 pub const PEER_CHECK: Duration = Duration::from_millis(50);
@@ -75,8 +76,12 @@ impl Client {
     /// estimate.
     pub fn request(&self) -> RequestNumber {
         let requested = &self.mapping.controller.requested;
-        let number = requested.fetch_add(1, AcqRel).wrapping_add(1);
-        futex::wake_all(requested);
+        let number = requested.fetch_add(1, SeqCst).wrapping_add(1);
+        // The node says that it is idle, then looks at the requests; here it is the other way round. In the one order that all
+        // sequentially consistent operations have, either it sees this request, or this sees that it is idle.
+        if self.mapping.node.idle.load(SeqCst) != 0 {
+            futex::wake_all(requested);
+        }
         RequestNumber(number)
     }
 

@@ -52,7 +52,7 @@ pub struct Identity {
 #[derive(Debug)]
 #[repr(C, align(128))]
 pub struct Controller {
-    /// Requests ever made. Adding one makes a request, whose number is the sum. The node sleeps on this futex while it is idle.
+    /// Requests ever made. Adding one makes a request, whose number is the sum. A futex.
     pub requested: AtomicU32,
 }
 
@@ -64,6 +64,9 @@ pub struct Node {
     pub acknowledged: AtomicU32,
     /// Estimates completed. Its parity is the value of the topic `icp_state`. A futex.
     pub completed: AtomicU32,
+    /// 1 while the node is idle: a request must wake the futex `requested`, on which it sleeps. At work it looks by itself, and a
+    /// system call would only take processor time from it.
+    pub idle: AtomicU32,
 }
 
 /// The newest estimate, behind a sequence lock: consistent if `sequence` is even, and the same before and after reading.
@@ -115,6 +118,7 @@ const _: () = {
     assert!(offset_of!(Segment, controller.requested) == 128);
     assert!(offset_of!(Segment, node.acknowledged) == 256);
     assert!(offset_of!(Segment, node.completed) == 260);
+    assert!(offset_of!(Segment, node.idle) == 264);
     assert!(offset_of!(Segment, estimate.sequence) == 384);
     assert!(offset_of!(Segment, estimate.flags) == 388);
     assert!(offset_of!(Segment, estimate.number) == 392);

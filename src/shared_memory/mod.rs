@@ -36,10 +36,12 @@
 //!
 //! | who | does | memory order |
 //! |---|---|---|
-//! | controller | adds 1 to `requested`: the sum is the request's number; wakes `requested` | acquire, release |
+//! | controller | adds 1 to `requested`: the sum is the request's number; wakes `requested` if `idle` is set | sequentially consistent |
 //! | node, between iterations | looks whether `requested` is beyond `acknowledged` | acquire |
-//! | node, with an estimate | writes it (sequence lock), adds 1 to `completed`, sets `acknowledged` to `requested`, wakes both | release |
-//! | node, idle | sets `acknowledged` to `requested`, wakes it | release |
+//! | node, with an estimate | writes it (sequence lock), adds 1 to `completed` | release |
+//! | node, at work or idle from now on | stores `idle`, then loads `requested` | sequentially consistent |
+//! | ... | stores that as `acknowledged`, wakes `acknowledged`, and `completed` after an estimate | release |
+//! | node, woken while idle | stores `requested` as `acknowledged`, wakes it | release |
 //! | controller | waits for `acknowledged` to reach its number, then reads the newest estimate | acquire |
 //! | controller | waits for `completed` to change, counts the edges by the difference | acquire |
 //!

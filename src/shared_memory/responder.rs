@@ -106,6 +106,7 @@ impl Shared {
     fn answer<T>(&self, change: impl FnOnce(&mut Activity) -> T) -> T {
         let mut activity = self.lock();
         let result = change(&mut activity);
+        self.server.set_idle(*activity == Activity::Idle);
         let answered = self.server.acknowledge();
         drop(activity);
         if answered {
@@ -119,7 +120,7 @@ impl Shared {
         let mut seen = 0;
         while !self.closing.load(Acquire) {
             self.server.await_request(seen, WATCH);
-            // Looked at before the lock is taken: a request that comes later changes the word, and ends the next wait at once.
+            // Looked at before the lock is taken: a request that comes later changes the word, and the next wait does not begin.
             seen = self.server.requested();
             let activity = self.lock();
             let answered = *activity == Activity::Idle && self.server.acknowledge();

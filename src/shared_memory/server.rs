@@ -1,7 +1,7 @@
 //! The node's side of the segment: who owns it, and what it writes.
 
 use std::os::fd::{AsFd, OwnedFd};
-use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+use std::sync::atomic::Ordering::{Acquire, Relaxed, Release, SeqCst};
 use std::thread;
 use std::time::Duration;
 
@@ -51,9 +51,15 @@ impl Server {
         self.mapping.node.acknowledged.load(Relaxed)
     }
 
+    /// Whether requests must wake [`Self::await_request`].
+    pub(super) fn set_idle(&self, idle: bool) {
+        self.mapping.node.idle.store(idle.into(), SeqCst);
+    }
+
     /// Answers every request made so far with the newest estimate; whether there was any to answer.
     pub(super) fn acknowledge(&self) -> bool {
-        let requested = self.requested();
+        // After `set_idle`, in the order that the controller's side relies on.
+        let requested = self.mapping.controller.requested.load(SeqCst);
         let unanswered = requested != self.acknowledged();
         if unanswered {
             self.mapping.node.acknowledged.store(requested, Release);
@@ -79,7 +85,7 @@ impl Server {
         futex::wake_all(&self.mapping.node.completed);
     }
 
-    /// Sleeps while no more than `seen` requests have been made. May return early.
+    /// Sleeps until a request is made beyond those `seen`, and the node is idle. May return early.
     pub(super) fn await_request(&self, seen: u32, longest: Duration) {
         futex::sleep(&self.mapping.controller.requested, seen, longest);
     }
@@ -136,12 +142,13 @@ fn is_new(file: impl AsFd) -> bool {
     fstat(file).is_ok_and(|status| status.st_size == 0 && status.st_uid == rustix::process::geteuid().as_raw())
 }
 
-/// Makes a segment of an empty file: zeros, but for the identity.
+/// Makes a segment of an empty file, of a node that is idle.
 fn new_segment(file: OwnedFd) -> Result<Mapping, Problem> {
     let refused = |errno| Problem::system("set up the segment", errno);
     fchmod(&file, Mode::RUSR | Mode::WUSR).map_err(refused)?; // a stale empty file may be open to others
     ftruncate(&file, SIZE.into()).map_err(refused)?;
     let mapping = Mapping::new(file)?;
+    mapping.node.idle.store(1, Relaxed);
     let identity = &mapping.identity;
     identity.version.store(VERSION, Relaxed);
     identity.size.store(SIZE, Relaxed);

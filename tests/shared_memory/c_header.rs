@@ -49,6 +49,7 @@ fn layout() -> HashMap<String, u64> {
         offset("requested", offset_of!(Segment, controller.requested)),
         offset("acknowledged", offset_of!(Segment, node.acknowledged)),
         offset("completed", offset_of!(Segment, node.completed)),
+        offset("idle", offset_of!(Segment, node.idle)),
         offset("sequence", offset_of!(Segment, estimate.sequence)),
         offset("flags", offset_of!(Segment, estimate.flags)),
         offset("number", offset_of!(Segment, estimate.number)),

@@ -26,6 +26,7 @@ static void print_layout(void) {
   OFFSET(requested);
   OFFSET(acknowledged);
   OFFSET(completed);
+  OFFSET(idle);
   OFFSET(sequence);
   OFFSET(flags);
   OFFSET(number);

@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::sync_channel;
 use std::thread;
 use std::time::Duration;
 
@@ -92,6 +93,67 @@ fn several_controllers_share_the_count_and_every_edge_is_seen() {
         assert_eq!(numbers, (1..=requests).collect());
         assert_eq!(counting.counts(), Counts { acknowledged: requests, requested: requests, completed: published });
         assert_eq!(edges.join().unwrap(), published);
+    });
+}
+
+/// One scan and one request a round, at random times to each other: a request that falls between the two answers is never made good
+/// by a later scan.
+#[test]
+fn no_request_falls_between_a_scan_s_answer_and_idleness() {
+    const ROUNDS: u32 = 30_000;
+    let responder = Responder::create(&unique("rounds")).unwrap();
+    let client = Client::open(responder.name()).unwrap();
+    let (start, started) = sync_channel(0);
+    thread::scope(|scope| {
+        let responder = &responder;
+        scope.spawn(move || {
+            let mut rng = Pcg64::seed_from_u64(5);
+            for number in started {
+                responder.begin();
+                dawdle(&mut rng, 20);
+                responder.publish(&estimate(number));
+            }
+        });
+        let mut rng = Pcg64::seed_from_u64(6);
+        for round in 1..=ROUNDS {
+            start.send(round).unwrap();
+            dawdle(&mut rng, 40);
+            let answer = client.wait_for_answer(client.request(), PATIENCE).unwrap();
+            assert!(answer.is_none_or(|answer| answer.number <= round), "an answer from the future");
+            assert_eq!(client.counts().acknowledged, round);
+        }
+        drop(start);
+    });
+    assert_eq!(client.counts(), Counts { acknowledged: ROUNDS, requested: ROUNDS, completed: ROUNDS });
+}
+
+#[test]
+fn an_idle_node_answers_every_request() {
+    const REQUESTS: u32 = 10_000;
+    let responder = Responder::create(&unique("idle")).unwrap();
+    let clients = [(); 2].map(|()| Client::open(responder.name()).unwrap());
+    thread::scope(|scope| {
+        for (client, seed) in clients.iter().zip(7..) {
+            scope.spawn(move || ask(client, REQUESTS, seed));
+        }
+    });
+    assert_eq!(clients[0].counts(), Counts { acknowledged: 2 * REQUESTS, requested: 2 * REQUESTS, completed: 0 });
+}
+
+#[test]
+fn estimates_are_whole_while_the_node_writes_without_pause() {
+    const ESTIMATES: u32 = 200_000;
+    let responder = Responder::create(&unique("writing")).unwrap();
+    let client = Client::open(responder.name()).unwrap();
+    thread::scope(|scope| {
+        scope.spawn(|| (1..=ESTIMATES).for_each(|number| assert_eq!(responder.publish(&estimate(number)), number)));
+        let mut newest = 0;
+        while newest < ESTIMATES {
+            let Some(completed) = client.latest().unwrap() else { continue };
+            assert_whole(&completed);
+            assert!(completed.number >= newest);
+            newest = completed.number;
+        }
     });
 }
 
