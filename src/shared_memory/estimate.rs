@@ -95,3 +95,42 @@ impl Estimate {
         Ok((flags & FLAG_PRESENT != 0).then_some(CompletedEstimate { number, estimate }))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::thread;
+
+    use super::*;
+
+    /// Every field follows from the number.
+    fn numbered(number: u32) -> SharedEstimate {
+        let value = f64::from(number);
+        SharedEstimate {
+            stamp: Stamp::from_ros(number, number % 1000),
+            odom_from_base: Pose2 { x: value, y: -value, theta: value + 0.5 },
+            position_deviation: value + 0.25,
+            heading_deviation: value + 0.75,
+            elapsed: Duration::from_nanos(number.into()),
+            ok: number % 2 == 0,
+            deadline_met: number % 3 == 0,
+            interrupted: number % 5 == 0,
+        }
+    }
+
+    #[test]
+    fn what_is_read_is_one_estimate_and_never_an_older_one_than_before() {
+        const ESTIMATES: u32 = 2_000_000;
+        let shared = Estimate::default();
+        assert_eq!(shared.read().unwrap(), None);
+        thread::scope(|scope| {
+            scope.spawn(|| (1..=ESTIMATES).for_each(|number| shared.write(number, &numbered(number))));
+            let mut newest = 0;
+            while newest < ESTIMATES {
+                let Ok(Some(completed)) = shared.read() else { continue };
+                assert_eq!(completed.estimate, numbered(completed.number));
+                assert!(completed.number >= newest);
+                newest = completed.number;
+            }
+        });
+    }
+}

@@ -70,7 +70,7 @@ pub struct Node {
 }
 
 /// The newest estimate, behind a sequence lock: consistent if `sequence` is even, and the same before and after reading.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 #[repr(C, align(128))]
 pub struct Estimate {
     /// Odd while the node writes.
