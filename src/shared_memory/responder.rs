@@ -40,8 +40,8 @@ enum Activity {
 }
 
 impl Responder {
-    /// Creates the segment `name` (one `/`, then anything else) for controllers of the same user, and serves it. A stale segment
-    /// is taken over; one whose owner lives is an error.
+    /// Creates the segment `name` for controllers of the same user, and serves it. A stale segment of that name gives way to the new
+    /// one; one whose owner lives is an error.
     pub fn create(name: &str) -> Result<Self, SharedMemoryError> {
         let shared = Arc::new(Shared {
             server: Server::create(name)?,

@@ -34,9 +34,9 @@ pub(crate) fn estimate(number: u32) -> SharedEstimate {
         position_deviation: value + 0.25,
         heading_deviation: value + 0.75,
         elapsed: Duration::from_nanos(u64::from(number) * 3),
-        ok: number % 2 == 0,
-        deadline_met: number % 3 == 0,
-        interrupted: number % 5 == 0,
+        ok: number.is_multiple_of(2),
+        deadline_met: number.is_multiple_of(3),
+        interrupted: number.is_multiple_of(5),
     }
 }
 

@@ -59,7 +59,7 @@ fn role() {
         "busy node" => {
             let responder = Responder::create(&name).unwrap();
             eprintln!("ready");
-            (1..).for_each(|number| assert_eq!(responder.publish(&estimate(number)), number));
+            (1..=u32::MAX).for_each(|number| assert_eq!(responder.publish(&estimate(number)), number));
         }
         "controller" => {
             Client::open(&name).unwrap().request();
