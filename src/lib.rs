@@ -22,6 +22,7 @@
 //! | [`knobs`](mod@knobs) | parameters, each declared once |
 //! | [`messages`] | ROS messages and their wire form, with or without ROS |
 //! | [`scan`], [`transforms`] | a checked scan; where `/tf` says the laser is |
+//! | `shared_memory` | on Linux: a controller on the same machine calls for the answer now and reads it, without ROS |
 //! | [`matching`] | PL-ICP and its relatives: `begin()`, `refine()`, best so far |
 //! | [`simulation`] | worlds, a lidar, a car, its odometry |
 //! | [`evaluation`] | ATE, RPE, relations, plots |
@@ -41,7 +42,7 @@
 //! - With no time budget, or on the virtual clock, the same input gives the same output, to the last bit.
 //! - Bytes from outside are checked before they are used: a bad message, file or parameter is an error that names its place and its
 //!   remedy, never a panic.
-//! - Only `ros` knows rosrust; only the programs read arguments.
+//! - Only `ros` knows rosrust; only the programs read arguments; only `shared_memory::mapping` is unsafe.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::panic, clippy::cast_possible_truncation))]
 
@@ -60,6 +61,8 @@ pub mod replay;
 #[cfg(feature = "ros")]
 pub mod ros;
 pub mod scan;
+#[cfg(target_os = "linux")]
+pub mod shared_memory;
 pub mod simulation;
 pub mod time;
 pub mod transforms;

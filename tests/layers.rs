@@ -9,7 +9,7 @@ const LAYERS: [&[&str]; 11] = [
     &["time", "geometry"],
     &["knobs"],
     &["messages"],
-    &["scan", "transforms"],
+    &["scan", "transforms", "shared_memory"],
     &["matching", "simulation", "evaluation"],
     &["anytime"],
     &["odometry", "io"],
@@ -92,4 +92,12 @@ fn only_ros_knows_rosrust_and_matching_reads_no_clock() {
         }
         assert!(!text.contains("clap"), "{} reads arguments", relative.display());
     }
+}
+
+#[test]
+fn unsafe_code_is_in_one_file() {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let allowing = |path: &PathBuf| fs::read_to_string(path).unwrap().contains("allow(unsafe_code)");
+    let files: Vec<_> = rust_files(&source).into_iter().filter(allowing).collect();
+    assert_eq!(files, [source.join("shared_memory/mapping.rs")]);
 }

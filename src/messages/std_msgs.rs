@@ -4,10 +4,23 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::Message;
+
 /// `std_msgs/Header`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     pub seq: u32,
     pub stamp: super::Time,
     pub frame_id: String,
+}
+
+/// `std_msgs/Empty`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Empty {}
+
+impl Message for Empty {
+    const TYPE: &'static str = "std_msgs/Empty";
+    const MD5: &'static str = "d41d8cd98f00b204e9800998ecf8427e";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] =
+        &[("std_msgs/Empty", include_str!("../../msg/std_msgs/msg/Empty.msg"))];
 }

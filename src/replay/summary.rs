@@ -128,6 +128,7 @@ impl Summary {
             "deadline": {
                 "budget_us": self.budget.map(microseconds),
                 "misses": self.misses,
+                "miss_ratio": self.misses as f64 / self.poses.len().max(1) as f64,
                 "worst_overrun_us": microseconds(self.worst_overrun),
             },
             "ate_rmse_m": truth["ate_rmse_m"],
@@ -155,7 +156,9 @@ impl Summary {
         table.add_row(["time per scan", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
         if let Some(budget) = self.budget {
             let overrun = microseconds(self.worst_overrun);
-            let text = format!("{} of budget {:.0} us, worst overrun {overrun:.0} us", self.misses, microseconds(budget));
+            let share = 100.0 * self.misses as f64 / self.poses.len().max(1) as f64;
+            let (misses, budget) = (self.misses, microseconds(budget));
+            let text = format!("{misses} ({share:.2} %) of budget {budget:.0} us, worst overrun {overrun:.0} us");
             table.add_row(["deadline misses", &text]);
         }
         let mut text = format!("{table}\n");

@@ -67,7 +67,7 @@ impl Answer<'_> {
         let refinement = answer.refinement.as_ref();
         let number = |value: fn(&_) -> f64| refinement.map_or(f64::NAN, value);
         let count = |value: fn(&_) -> u32| refinement.map_or(0, value);
-        let (rays, inliers) = (count(|r| r.rays), count(|r| r.inliers));
+        let (rays, rays_used, inliers) = (count(|r| r.rays), count(|r| r.rays_used), count(|r| r.inliers));
         let (outcome, reason) = match &answer.outcome {
             Outcome::Matched => (MatchReport::MATCHED, String::new()),
             Outcome::First => (MatchReport::FIRST, String::new()),
@@ -84,12 +84,16 @@ impl Answer<'_> {
             rotation_error_bound: estimate.contract.rotation_error_bound.unwrap_or_default(),
             elapsed: estimate.elapsed.into(),
             deadline_met: estimate.deadline_met(),
+            overrun: estimate.overrun().into(),
+            translation_error_excess: estimate.error_excess().translation,
+            rotation_error_excess: estimate.error_excess().rotation,
             iterations: count(|r| r.iterations),
             rays,
+            rays_used,
             correspondences: count(|r| r.correspondences),
             inliers,
             mean_residual: number(|r| r.mean_residual),
-            inlier_ratio: f64::from(inliers) / f64::from(rays.max(1)),
+            inlier_ratio: f64::from(inliers) / f64::from(rays_used.max(1)),
             predicted_translation_error: answer.predicted_error.translation,
             predicted_rotation_error: answer.predicted_error.rotation,
             translation_error: answer.estimated_error.translation,

@@ -38,6 +38,7 @@ struct Counts {
     answered: u64,
     failed: u64,
     late: u64,
+    worst_overrun: Duration,
     refused: u64,
 }
 
@@ -46,6 +47,7 @@ impl Monitor {
         let mut state = self.lock();
         state.counts.answered += 1;
         state.counts.late += u64::from(!estimate.deadline_met());
+        state.counts.worst_overrun = state.counts.worst_overrun.max(estimate.overrun());
         state.latencies.push(estimate.elapsed);
         if let Outcome::Predicted(problem) = &estimate.registration.outcome {
             state.counts.failed += 1;
@@ -159,6 +161,8 @@ impl Report {
             ("scans not matched", counts.failed.to_string()),
             ("scans dropped", self.dropped.scans.to_string()),
             ("deadline misses", counts.late.to_string()),
+            ("deadline misses [%]", format!("{:.3}", 100.0 * counts.late as f64 / counts.answered.max(1) as f64)),
+            ("worst overrun [ms]", format!("{:.3}", counts.worst_overrun.as_secs_f64() * 1e3)),
             ("messages refused", counts.refused.to_string()),
             ("latency p50 [ms]", latency(0.5)),
             ("latency p99 [ms]", latency(0.99)),

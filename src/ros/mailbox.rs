@@ -103,8 +103,18 @@ impl Mailbox {
         (!events.is_empty()).then_some(events)
     }
 
+    /// Whether a scan is waiting.
+    pub(super) fn has_scan(&self) -> bool {
+        self.lock().work.scan.is_some()
+    }
+
     pub(super) fn dropped(&self) -> Dropped {
         self.lock().dropped
+    }
+
+    /// Whether it is closed.
+    pub(super) fn is_closed(&self) -> bool {
+        self.lock().closed
     }
 
     /// Ends [`Self::take`].

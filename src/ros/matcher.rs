@@ -7,11 +7,13 @@ use serde::Deserialize;
 
 use super::convert::Answer;
 use super::diagnostics::Monitor;
+use super::interrupts::{Interrupts, LOOK};
 use super::log::{Log, Throttle};
 use super::mailbox::{Event, Letter, Mailbox, Work};
 use super::publishers::Publishers;
 use super::subscriptions::Input;
 use crate::anytime::clock::Clock;
+use crate::anytime::interrupt::Interrupt;
 use crate::app::{App, Estimate, MountSource};
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
@@ -23,11 +25,21 @@ use crate::transforms::frame_name;
 /// Transforms may come a little later than the first scans do.
 const PATIENCE_FOR_MOUNT: Duration = Duration::from_secs(2);
 
+/// Ends what can be left undone when there is another scan to answer.
+struct NextScan<'a>(&'a Mailbox);
+
+impl Interrupt for NextScan<'_> {
+    fn is_requested(&self) -> bool {
+        self.0.has_scan()
+    }
+}
+
 /// Everything the matching thread owns.
 pub(super) struct Matcher {
     app: App,
     publishers: Publishers,
     mailbox: Arc<Mailbox>,
+    interrupts: Arc<Interrupts>,
     clock: Arc<dyn Clock>,
     monitor: Arc<Monitor>,
     log: Log,
@@ -41,6 +53,7 @@ impl Matcher {
         app: App,
         publishers: Publishers,
         mailbox: Arc<Mailbox>,
+        interrupts: Arc<Interrupts>,
         clock: Arc<dyn Clock>,
         monitor: Arc<Monitor>,
         log: Log,
@@ -49,6 +62,7 @@ impl Matcher {
             app,
             publishers,
             mailbox,
+            interrupts,
             clock,
             monitor,
             log,
@@ -64,12 +78,19 @@ impl Matcher {
             for event in events {
                 self.handle(event);
             }
-            if let Some(letter) = scan
-                && let Some(scan) = self.read::<LaserScan>(Input::Scan, &letter)
-            {
-                self.await_odometry(scan.header.stamp.into(), letter.arrival);
-                self.answer(&scan, letter.arrival);
+            if let Some(letter) = scan {
+                self.interrupts.begin();
+                match self.read::<LaserScan>(Input::Scan, &letter) {
+                    Some(scan) => {
+                        self.await_odometry(scan.header.stamp.into(), letter.arrival);
+                        self.answer(&scan, letter.arrival);
+                    }
+                    None => self.interrupts.abandon(),
+                }
             }
+        }
+        if let Err(error) = self.app.store_costs() {
+            self.log.warn(&error.to_string());
         }
     }
 
@@ -77,8 +98,10 @@ impl Matcher {
     fn await_odometry(&mut self, stamp: Stamp, arrival: Duration) {
         while let Some(longest) = self.app.wait_for_odometry(stamp) {
             let left = (arrival + longest).saturating_sub(self.clock.now());
-            let Some(events) = self.mailbox.take_events(left) else { return };
-            for event in events {
+            if left.is_zero() || self.mailbox.has_scan() || self.mailbox.is_closed() || self.interrupts.is_requested() {
+                return;
+            }
+            for event in self.mailbox.take_events(left.min(LOOK)).unwrap_or_default() {
                 self.handle(event);
             }
         }
@@ -90,7 +113,7 @@ impl Matcher {
             Event::Message(input, letter) => (input, letter),
         };
         let outcome = match input {
-            Input::Scan => Ok(()), // scans are no events
+            Input::Scan | Input::Interrupt => Ok(()), // no events
             Input::Odometry => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_odometry(&message)),
             Input::InitialPose => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_initial_pose(&message)),
             Input::Contract => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_contract(&message)),
@@ -137,8 +160,8 @@ impl Matcher {
     fn answer(&mut self, scan: &LaserScan, arrival: Duration) {
         self.app.set_keep_matched_points(self.publishers.wants_matched_points());
         let mut estimate = self.app.on_scan(scan, arrival);
-        self.publish(&mut estimate, arrival);
-        self.app.maintain();
+        self.publish(&mut estimate);
+        self.app.maintain(&NextScan(&self.mailbox));
         if let Outcome::Predicted(problem) = &estimate.registration.outcome {
             self.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
         }
@@ -146,14 +169,15 @@ impl Matcher {
         self.monitor.record(&estimate);
     }
 
-    fn publish(&mut self, estimate: &mut Estimate, arrival: Duration) {
+    fn publish(&mut self, estimate: &mut Estimate) {
         // Numbers of headers wrap around.
         #[allow(clippy::cast_possible_truncation)]
         let number = self.app.counters().scans as u32;
         let frames = &self.app.config().frames;
         self.publishers.publish_pose(&Answer { estimate, number, frames });
-        let now = self.clock.now();
-        estimate.elapsed = now.saturating_sub(arrival);
+        self.app.conclude(estimate);
+        self.interrupts.publish(estimate);
+        let (now, frames) = (self.clock.now(), &self.app.config().frames);
         let answer = Answer { estimate, number, frames };
         self.publishers.publish_details(&answer, self.app.odometry_counters().keyframes, self.mailbox.dropped().scans);
         self.publishers.publish_display(&answer, self.app.matched_points(), now);

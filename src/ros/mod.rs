@@ -11,6 +11,7 @@
 
 mod convert;
 mod diagnostics;
+mod interrupts;
 mod log;
 mod mailbox;
 mod master;
@@ -28,6 +29,8 @@ use thiserror::Error;
 
 use crate::anytime::contract::ContractError;
 use crate::config::ConfigError;
+use crate::io::cost_file::CostFileError;
+use crate::shared_memory::SharedMemoryError;
 
 /// Why the node cannot run.
 #[derive(Debug, Error)]
@@ -43,6 +46,12 @@ pub enum NodeError {
     /// The contract among the parameters is none.
     #[error(transparent)]
     Contract(#[from] ContractError),
+    /// The costs learned at another time cannot be read or written.
+    #[error(transparent)]
+    Costs(#[from] CostFileError),
+    /// The shared memory cannot be had.
+    #[error(transparent)]
+    SharedMemory(#[from] SharedMemoryError),
     /// The ROS graph refused something.
     #[error("cannot {action}: {problem}")]
     Ros {

@@ -10,6 +10,7 @@ use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
 use super::diagnostics::{self, Diagnostics, Monitor};
+use super::interrupts::Interrupts;
 use super::log::{Log, ROSOUT};
 use super::mailbox::{Event, Mailbox};
 use super::master::{Change, MasterLink, Role, connect, resolved, wait_for_master};
@@ -67,7 +68,10 @@ impl<'a> Node<'a> {
         let log = Log::new(ros)?;
         let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
         let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
-        let app = App::new(config, Arc::clone(&clock))?;
+        let interrupts = Arc::new(Interrupts::new(config.contract.shared_memory.as_deref())?);
+        let mut app = App::new(config, Arc::clone(&clock))?;
+        app.warm_up()?;
+        app.set_interrupt(Arc::clone(&interrupts) as Arc<_>);
         let publishers = Publishers::new(ros, config.frames.publish_tf)?;
         let diagnostics = Diagnostics::new(ros)?;
         let mut roles = publishers.roles();
@@ -76,12 +80,12 @@ impl<'a> Node<'a> {
         let contract = app.contract();
 
         let (in_box, time) = (Arc::clone(&mailbox), Arc::clone(&clock));
-        let matcher = Matcher::new(app, publishers, in_box, time, Arc::clone(&monitor), log.clone());
+        let matcher = Matcher::new(app, publishers, in_box, Arc::clone(&interrupts), time, Arc::clone(&monitor), log.clone());
         let matching = thread::Builder::new()
             .name("matching".into())
             .spawn(|| matcher.run())
             .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
-        let subscribers = Input::ALL.map(|input| subscribe(ros, input, &mailbox, &clock, &log));
+        let subscribers = Input::ALL.map(|input| subscribe(ros, input, &mailbox, &interrupts, &clock, &log));
         let subscribers = subscribers.into_iter().collect::<Result<_, _>>()?;
         let reset = Some(offer_reset(ros, &mailbox)?);
         let master = MasterLink::new(ros, master, roles, &log)?;

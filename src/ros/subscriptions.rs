@@ -7,6 +7,7 @@ use rosrust::api::Ros;
 use rosrust::{RawMessage, Subscriber, SubscriptionHandler};
 
 use super::NodeError;
+use super::interrupts::Interrupts;
 use super::log::Log;
 use super::mailbox::{Event, Letter, Mailbox};
 use super::master::{Role, resolved};
@@ -16,6 +17,7 @@ use crate::messages::geometry_msgs::PoseWithCovarianceStamped;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::Contract;
 use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::std_msgs::Empty;
 use crate::messages::tf2_msgs::TFMessage;
 
 /// rosrust's own queue loses messages without a word when it is short. Ours only ever passes through it: the mailbox decides what is
@@ -30,14 +32,22 @@ pub(super) enum Input {
     Scan,
     Odometry,
     Contract,
+    Interrupt,
     InitialPose,
     Transforms,
     StaticTransforms,
 }
 
 impl Input {
-    pub(super) const ALL: [Self; 6] =
-        [Self::Scan, Self::Odometry, Self::Contract, Self::InitialPose, Self::Transforms, Self::StaticTransforms];
+    pub(super) const ALL: [Self; 7] = [
+        Self::Scan,
+        Self::Odometry,
+        Self::Contract,
+        Self::Interrupt,
+        Self::InitialPose,
+        Self::Transforms,
+        Self::StaticTransforms,
+    ];
 
     /// Its name before remapping.
     pub(super) fn topic(self) -> &'static str {
@@ -45,6 +55,7 @@ impl Input {
             Self::Scan => "scan",
             Self::Odometry => "odom",
             Self::Contract => "icp_contract",
+            Self::Interrupt => "icp_interrupt",
             Self::InitialPose => "initialpose",
             Self::Transforms => "/tf",
             Self::StaticTransforms => "/tf_static",
@@ -60,6 +71,7 @@ impl Input {
             Self::Scan => of::<LaserScan>(),
             Self::Odometry => of::<Odometry>(),
             Self::Contract => of::<Contract>(),
+            Self::Interrupt => of::<Empty>(),
             Self::InitialPose => of::<PoseWithCovarianceStamped>(),
             Self::Transforms | Self::StaticTransforms => of::<TFMessage>(),
         }
@@ -78,6 +90,7 @@ pub(super) fn subscribe(
     ros: &Ros,
     input: Input,
     mailbox: &Arc<Mailbox>,
+    interrupts: &Arc<Interrupts>,
     clock: &Arc<dyn Clock>,
     log: &Log,
 ) -> Result<Subscriber, NodeError> {
@@ -86,6 +99,7 @@ pub(super) fn subscribe(
         topic: resolved(ros, input.topic())?,
         node: ros.name().into(),
         mailbox: Arc::clone(mailbox),
+        interrupts: Arc::clone(interrupts),
         clock: Arc::clone(clock),
         log: log.clone(),
         refused: HashSet::new(),
@@ -101,6 +115,7 @@ struct Inlet {
     topic: String,
     node: String,
     mailbox: Arc<Mailbox>,
+    interrupts: Arc<Interrupts>,
     clock: Arc<dyn Clock>,
     log: Log,
     refused: HashSet<String>,
@@ -136,6 +151,7 @@ impl SubscriptionHandler<RawMessage> for Inlet {
                 self.mailbox.count_lost_scans(self.numbering.lost_before(&letter).into());
                 self.mailbox.put_scan(letter);
             }
+            Input::Interrupt => self.interrupts.request(),
             Input::Transforms | Input::StaticTransforms if sender == self.node => {}
             input => self.mailbox.put_event(Event::Message(input, letter)),
         }
