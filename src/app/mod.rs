@@ -255,6 +255,11 @@ impl App {
         Ok(())
     }
 
+    /// Another contract; in force from the next scan on.
+    pub fn set_contract(&mut self, contract: Contract) {
+        self.contract = contract;
+    }
+
     /// Takes the pose of the base: the next scan is the first one, there.
     pub fn on_initial_pose(&mut self, message: &PoseWithCovarianceStamped) -> Result<(), InputError> {
         let pose = self.count_refused(planar_pose(&message.pose.pose))?;
