@@ -9,7 +9,7 @@ use std::time::Duration;
 use thiserror::Error;
 
 use crate::anytime::clock::Clock;
-use crate::anytime::contract::{Contract, ContractError};
+use crate::anytime::contract::{BOUND_SIGMAS, Contract, ContractError};
 use crate::anytime::cost_model::{CostModel, Phase};
 use crate::anytime::interrupt::{Interrupt, Never};
 use crate::anytime::{Driver, ErrorEstimate, Task};
@@ -83,9 +83,9 @@ impl Estimate {
         self.contract.time_budget.map_or(Duration::ZERO, |budget| self.elapsed.saturating_sub(budget))
     }
 
-    /// By how much the estimated error misses the bounds; zero where it keeps them, or there is none.
+    /// By how much the estimated error, two standard deviations of it, misses the bounds; zero where it keeps them, or there is none.
     pub fn error_excess(&self) -> ErrorEstimate {
-        let excess = |error: f64, bound: Option<f64>| bound.map_or(0.0, |bound| (error - bound).max(0.0));
+        let excess = |error: f64, bound: Option<f64>| bound.map_or(0.0, |bound| (BOUND_SIGMAS * error - bound).max(0.0));
         let error = self.registration.estimated_error;
         ErrorEstimate {
             translation: excess(error.translation, self.contract.translation_error_bound),
@@ -216,8 +216,7 @@ impl App {
     /// here.
     pub fn maintain(&mut self, interrupt: &dyn Interrupt) {
         let now = self.clock.now();
-        let contract = Contract { time_budget: None, ..self.contract };
-        let task = Task { contract, arrival: now, taken_up: now };
+        let task = Task { contract: Contract::default(), arrival: now, taken_up: now };
         if self.config.contract.finish_after_answer {
             self.odometry.finish(&mut Driver::new(task, &*self.clock, interrupt, &mut self.costs));
         }
