@@ -11,12 +11,12 @@ crate::knobs! {
     pub struct ContractKnobs {
         /// Time from a scan's arrival to its pose; 0: run to completion.
         time_budget: Seconds = Seconds(0.0), in 0 to 60, unit "s";
-        /// Stop as soon as the estimated error of the position is below this; 0: no bound.
+        /// Stop as soon as the position is known to this, with 95 % (two standard deviations); 0: no bound.
         translation_error_bound: f64 = 0.0, in 0 to 100, unit "m";
-        /// Stop as soon as the estimated error of the heading is below this; 0: no bound.
+        /// Stop as soon as the heading is known to this, with 95 % (two standard deviations); 0: no bound.
         rotation_error_bound: f64 = 0.0, in 0 to 4, unit "rad";
-        /// Go on refining after an answer that had no time to be finished, until the next scan is here: the next prediction starts from
-        /// the better pose. The answer itself stays.
+        /// Go on refining after an answer that had no time to be finished, or that is the next reference, until the next scan is here:
+        /// what follows starts from the better pose. The answer itself stays.
         finish_after_answer: bool = true;
         /// Share of the steps whose cost stays below what is reckoned with: high keeps deadlines, low uses the time up to the last.
         confidence: f64 = 0.99, in 0.5 to 0.9999;
@@ -27,14 +27,17 @@ crate::knobs! {
     }
 }
 
+/// An error bound is to hold for 95 % of the answers: so many standard deviations are compared with it.
+pub const BOUND_SIGMAS: f64 = 2.0;
+
 /// What the controller asks of every answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Contract {
     /// Time from a scan's arrival to its pose; `None`: as long as it takes.
     pub time_budget: Option<Duration>,
-    /// Error of the position that is good enough, m (one sigma).
+    /// Error of the position that is good enough, m.
     pub translation_error_bound: Option<f64>,
-    /// Error of the heading that is good enough, rad (one sigma).
+    /// Error of the heading that is good enough, rad.
     pub rotation_error_bound: Option<f64>,
 }
 
@@ -77,7 +80,7 @@ impl Contract {
 
     /// Whether an answer with these errors (one sigma, m and rad) is good enough to stop at. Never so without a bound.
     pub fn is_satisfied_by(&self, translation_error: f64, rotation_error: f64) -> bool {
-        let within = |bound: Option<f64>, error: f64| bound.is_none_or(|bound| error <= bound);
+        let within = |bound: Option<f64>, error: f64| bound.is_none_or(|bound| BOUND_SIGMAS * error <= bound);
         self.has_error_bound()
             && within(self.translation_error_bound, translation_error)
             && within(self.rotation_error_bound, rotation_error)
@@ -118,7 +121,7 @@ mod tests {
     #[test]
     fn every_bound_that_is_set_must_hold() {
         let both = Contract::new(0.0, 0.01, 0.01).unwrap();
-        assert!(both.is_satisfied_by(0.005, 0.005) && !both.is_satisfied_by(0.02, 0.005) && !both.is_satisfied_by(0.005, 0.02));
+        assert!(both.is_satisfied_by(0.005, 0.005) && !both.is_satisfied_by(0.006, 0.005) && !both.is_satisfied_by(0.005, 0.006));
         assert!(Contract::new(0.0, 0.01, 0.0).unwrap().is_satisfied_by(0.005, 1.0));
         assert!(!Contract::default().is_satisfied_by(0.0, 0.0));
     }

@@ -20,6 +20,9 @@ const PLANNED_ITERATIONS: u32 = 4;
 /// Fewer rays than this are no plan: they leave the pose to chance.
 const FEWEST_RAYS: usize = 32;
 
+/// From step to step the way left shrinks by a ratio within these: faster is luck, slower would never end.
+const RATIOS: (f64, f64) = (0.5, 0.9);
+
 /// A contract on one scan: its time counts from the scan's arrival.
 #[derive(Clone, Copy, Debug)]
 pub struct Task {
@@ -135,9 +138,9 @@ impl<'a> Driver<'a> {
     fn is_good_enough(&self, refinement: &mut Refinement) -> bool {
         let contract = &self.task.contract;
         contract.has_error_bound() && {
-            let step = last_step(refinement);
+            let rest = left_to_converge(refinement);
             // The uncertainty takes longer to compute.
-            contract.is_satisfied_by(step.translation, step.rotation) && {
+            contract.is_satisfied_by(rest.translation, rest.rotation) && {
                 let covariance = refinement.uncertainty().and_then(|known| known.covariance);
                 let error = estimated_error(refinement, covariance.as_ref());
                 contract.is_satisfied_by(error.translation, error.rotation)
@@ -146,16 +149,28 @@ impl<'a> Driver<'a> {
     }
 }
 
-/// Error of the pose reached so far: the noise of the scans, and what the next step may still change, for which the last one stands.
+/// Error of the pose reached so far: the noise of the scans, and what is left to converge.
 pub fn estimated_error(refinement: &Refinement, covariance: Option<&PoseCovariance>) -> ErrorEstimate {
     let Some(covariance) = covariance else { return ErrorEstimate::UNKNOWN };
-    let (noise, step) = (ErrorEstimate::of_covariance(covariance), last_step(refinement));
-    ErrorEstimate { translation: noise.translation.hypot(step.translation), rotation: noise.rotation.hypot(step.rotation) }
+    let (noise, rest) = (ErrorEstimate::of_covariance(covariance), left_to_converge(refinement));
+    ErrorEstimate { translation: noise.translation.hypot(rest.translation), rotation: noise.rotation.hypot(rest.rotation) }
 }
 
-/// How far the last iteration moved the pose; unknown before the second one.
-fn last_step(refinement: &Refinement) -> ErrorEstimate {
-    let [.., before, last] = refinement.trace() else { return ErrorEstimate::UNKNOWN };
-    let step = before.pose.between(&last.pose);
-    ErrorEstimate { translation: step.distance(), rotation: step.theta.abs() }
+/// How far the pose still has to go: closest-point iterations converge like a geometric series, whose ratio the last two steps show.
+/// Unknown before the second one.
+fn left_to_converge(refinement: &Refinement) -> ErrorEstimate {
+    let (before, between) = match refinement.trace() {
+        [] | [_] => return ErrorEstimate::UNKNOWN,
+        [first, _] => (refinement.first_guess(), first.pose),
+        [.., before, between, _] => (before.pose, between.pose),
+    };
+    let (step_before, step) = (before.between(&between), between.between(&refinement.pose()));
+    let rest = |before: f64, last: f64| {
+        let ratio = (last / before).clamp(RATIOS.0, RATIOS.1); // of NaN, 0 by 0, NaN
+        if last > 0.0 { last * ratio / (1.0 - ratio) } else { 0.0 }
+    };
+    ErrorEstimate {
+        translation: rest(step_before.distance(), step.distance()),
+        rotation: rest(step_before.theta.abs(), step.theta.abs()),
+    }
 }

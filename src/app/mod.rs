@@ -9,7 +9,7 @@ use std::time::Duration;
 use thiserror::Error;
 
 use crate::anytime::clock::Clock;
-use crate::anytime::contract::{Contract, ContractError};
+use crate::anytime::contract::{BOUND_SIGMAS, Contract, ContractError};
 use crate::anytime::cost_model::{CostModel, Phase};
 use crate::anytime::interrupt::{Interrupt, Never};
 use crate::anytime::{Driver, ErrorEstimate, Task};
@@ -84,9 +84,9 @@ impl Estimate {
         self.contract.time_budget.map_or(Duration::ZERO, |budget| self.elapsed.saturating_sub(budget))
     }
 
-    /// By how much the estimated error misses the bounds; zero where it keeps them, or there is none.
+    /// By how much the estimated error, two standard deviations of it, misses the bounds; zero where it keeps them, or there is none.
     pub fn error_excess(&self) -> ErrorEstimate {
-        let excess = |error: f64, bound: Option<f64>| bound.map_or(0.0, |bound| (error - bound).max(0.0));
+        let excess = |error: f64, bound: Option<f64>| bound.map_or(0.0, |bound| (BOUND_SIGMAS * error - bound).max(0.0));
         let error = self.registration.estimated_error;
         ErrorEstimate {
             translation: excess(error.translation, self.contract.translation_error_bound),
@@ -217,8 +217,7 @@ impl App {
     /// here.
     pub fn maintain(&mut self, interrupt: &dyn Interrupt) {
         let now = self.clock.now();
-        let contract = Contract { time_budget: None, ..self.contract };
-        let task = Task { contract, arrival: now, taken_up: now };
+        let task = Task { contract: Contract::default(), arrival: now, taken_up: now };
         if self.config.contract.finish_after_answer {
             self.odometry.finish(&mut Driver::new(task, &*self.clock, interrupt, &mut self.costs));
         }
@@ -254,6 +253,11 @@ impl App {
             Contract::new(message.time_budget.seconds(), message.translation_error_bound, message.rotation_error_bound);
         self.contract = self.count_refused(contract.map_err(InputError::from))?;
         Ok(())
+    }
+
+    /// Another contract; in force from the next scan on.
+    pub fn set_contract(&mut self, contract: Contract) {
+        self.contract = contract;
     }
 
     /// Takes the pose of the base: the next scan is the first one, there.

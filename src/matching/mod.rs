@@ -163,8 +163,16 @@ impl Matcher {
         self.trace.clear();
         self.pairs.clear();
         self.rays_chosen = 0;
-        let mut refinement =
-            Refinement { matcher: self, scan: sensed, finest, next_rays: 0, level_start: 0, pose: first_guess, stopped: None };
+        let mut refinement = Refinement {
+            matcher: self,
+            scan: sensed,
+            finest,
+            next_rays: 0,
+            level_start: 0,
+            first_guess,
+            pose: first_guess,
+            stopped: None,
+        };
         refinement.use_rays(coarsest);
         refinement
     }
@@ -180,6 +188,7 @@ pub struct Refinement<'a> {
     next_rays: usize,
     /// Index into the trace of the present level's first iteration.
     level_start: usize,
+    first_guess: Pose2,
     pose: Pose2,
     stopped: Option<StopReason>,
 }
@@ -264,6 +273,11 @@ impl Refinement<'_> {
     /// The best pose so far of the sensed laser in the reference laser's frame: the first guess before the first iteration.
     pub fn pose(&self) -> Pose2 {
         self.pose
+    }
+
+    /// The pose that the match began with.
+    pub fn first_guess(&self) -> Pose2 {
+        self.first_guess
     }
 
     /// What each iteration did so far.

@@ -272,10 +272,16 @@ impl LaserOdometry {
         };
         let first_guess = keyframe.odom_from_laser.between(&attempt.predicted_laser());
         let found = self.match_to(&keyframe, scan, &attempt, first_guess, driver);
-        if matches!(found.report.stop_reason, StopReason::Budget | StopReason::Interrupted) {
+        let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
+        let worth_finishing = match found.report.stop_reason {
+            StopReason::Budget | StopReason::Interrupted => true,
+            // Good enough for itself, but the errors of keyframes add up.
+            StopReason::ErrorBound => becomes_keyframe,
+            _ => false,
+        };
+        if worth_finishing {
             self.unfinished = Some((scan.clone(), attempt, found.keyframe_from_laser));
         }
-        let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
         match found.answer {
             Ok(answer) => self.conclude(scan, base_from_laser, answer, becomes_keyframe),
             Err(problem) => {

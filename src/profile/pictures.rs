@@ -253,10 +253,10 @@ fn delay_by_iterations(results: &Results) -> Result<Picture, ProfileError> {
         }
         let series = costs.into_iter().flat_map(|cost| {
             let look = look(cost.variant);
-            let points = cost.levels.iter().map(|level| (f64::from(level.iterations), level.delay_us)).collect();
+            let points = cost.levels.iter().map(|level| (f64::from(level.iterations), 1e-3 * level.delay_us)).collect();
             let line = cost.model.map(|model| {
-                let at_levels = cost.levels.iter().map(|level| (f64::from(level.iterations), model.delay_us(level.rays)));
-                [(0.0, model.setup_us)].into_iter().chain(at_levels).collect()
+                let at_levels = cost.levels.iter().map(|level| (f64::from(level.iterations), 1e-3 * model.delay_us(level.rays)));
+                [(0.0, 1e-3 * model.setup_us)].into_iter().chain(at_levels).collect()
             });
             [
                 Series { name: String::new(), look: Look { mark: Mark::None, ..look }, points: line.unwrap_or_default() },
@@ -264,7 +264,7 @@ fn delay_by_iterations(results: &Results) -> Result<Picture, ProfileError> {
             ]
         });
         let series = solver_legend(results).into_iter().chain(series).collect();
-        let label = format!("{} [us]", search.name());
+        let label = format!("{} [ms]", search.name());
         Some(panel("iterations", &label, (Scale::FromZero, Scale::FromZero), 320, series))
     };
     let panels: Vec<Panel> = Correspondence::ALL.iter().filter_map(of_search).collect();

@@ -13,9 +13,10 @@ use crate::evaluation::rpe::rpe;
 use crate::evaluation::trajectory::{StampedPose, Trajectory};
 use crate::geometry::{Point, Pose2};
 use crate::io::bag::Bag;
+use crate::io::contract_schedule::ContractSchedule;
 use crate::matching::IterationTrace;
 use crate::replay::map_sketch::MapSketch;
-use crate::replay::{Topics, microseconds, replay};
+use crate::replay::{Source, Topics, microseconds, replay};
 use crate::time::Stamp;
 
 /// Matches whose descent is kept.
@@ -86,7 +87,8 @@ pub fn run(
     let mut run = Run::default();
     let scans = input.bag.message_count(Some(&[&input.topics.scan]));
     let every = usize::try_from(scans.div_ceil(KEPT_DESCENTS)).unwrap_or(1).max(1);
-    replay::<ProfileError>(input.bag, input.topics, &mut app, &**clock, on_message, |message, estimate, app| {
+    let source = Source { bag: input.bag, topics: input.topics, schedule: &ContractSchedule::default() };
+    replay::<ProfileError>(&source, &mut app, &**clock, on_message, |message, estimate, app| {
         if run.scans.is_empty() {
             run.beams = message.ranges.len();
         }

@@ -89,6 +89,7 @@ impl Study<'_> {
         let cases = &self.plan.cases;
         let mut first_runs = vec![Run::default(); cases.len()];
         let mut figures = vec![Vec::new(); cases.len()];
+        let mut answers = vec![Vec::new(); cases.len()];
         let mapped = showcase(cases.iter().map(|case| (case.variant, case.knob))).pop();
         for round in 0..self.plan.rounds {
             for i in self.plan.order(round) {
@@ -98,6 +99,8 @@ impl Study<'_> {
                 let of_run = Figures::of(&run);
                 files.add(&cases[i], round, &run, &of_run)?;
                 figures[i].push(of_run);
+                let made_iterations = run.scans.iter().filter(|scan| scan.iterations > 0);
+                answers[i].extend(made_iterations.map(|scan| (scan.iterations, scan.rays, scan.delay_us)));
                 if round == 0 {
                     first_runs[i] = run;
                 }
@@ -110,7 +113,7 @@ impl Study<'_> {
         let max_distance = self.config.matching.max_correspondence_distance;
         let clock = (self.new_clock)();
         let results = Results {
-            costs: costs(&cases, &first_runs),
+            costs: costs(&cases, &answers),
             search_times: search_time::measure(self.input.bag, &self.input.topics.scan, max_distance, &*clock)?,
             truth: self.input.truth.clone(),
             provenance: self.provenance(&first_runs),
@@ -198,20 +201,17 @@ fn showcase(cases: impl Iterator<Item = (Variant, Knob)>) -> Vec<usize> {
     (0..cases.len()).filter(|&i| cases[i] == chosen).collect()
 }
 
-/// Delay against iterations, of all runs that use every ray.
-fn costs(cases: &[CaseSummary], runs: &[Run]) -> Vec<VariantCost> {
+/// Delay against iterations, of all runs that use every ray. `answers` of each case: iterations, rays and delay in us.
+fn costs(cases: &[CaseSummary], answers: &[Vec<(u32, u64, f64)>]) -> Vec<VariantCost> {
     let mut variants: Vec<Variant> = cases.iter().map(|summary| summary.case.variant).collect();
     variants.dedup();
-    let answers = |variant: Variant| {
-        let of_variant = move |summary: &CaseSummary| summary.case.variant == variant && summary.case.knob != Knob::Beams;
-        let runs = cases.iter().zip(runs).filter(move |(summary, _)| of_variant(summary)).map(|(_, run)| run);
-        runs.flat_map(|run| &run.scans).filter(|scan| scan.iterations > 0).map(|scan| (scan.iterations, scan.rays, scan.delay_us))
+    let of = |variant: Variant| {
+        let is_wanted = move |summary: &CaseSummary| summary.case.variant == variant && summary.case.knob != Knob::Beams;
+        cases.iter().zip(answers).filter(move |(summary, _)| is_wanted(summary)).flat_map(|(_, answers)| answers.iter().copied())
     };
-    variants
-        .into_iter()
-        .map(|variant| {
-            let levels = cost::levels(answers(variant));
-            VariantCost { variant, model: cost::fit(&levels), levels }
-        })
-        .collect()
+    let cost = |variant: Variant| {
+        let levels = cost::levels(of(variant));
+        VariantCost { variant, model: cost::fit(&levels), levels }
+    };
+    variants.into_iter().map(cost).collect()
 }

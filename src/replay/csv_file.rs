@@ -11,7 +11,7 @@ pub struct CsvFile<W: Write> {
     writer: csv::Writer<W>,
 }
 
-const HEADER: [&str; 21] = [
+const HEADER: [&str; 25] = [
     "stamp",
     "x_m",
     "y_m",
@@ -29,8 +29,12 @@ const HEADER: [&str; 21] = [
     "predicted_rotation_error_rad",
     "translation_error_m",
     "rotation_error_rad",
+    "translation_error_excess_m",
+    "rotation_error_excess_rad",
     "new_keyframe",
+    "budget_us",
     "elapsed_us",
+    "overrun_us",
     "deadline_met",
     "problem",
 ];
@@ -75,12 +79,14 @@ impl<W: Write> CsvFile<W> {
             outcome.into(),
         ];
         record.extend(of_match);
-        for error in [registration.predicted_error, registration.estimated_error] {
+        for error in [registration.predicted_error, registration.estimated_error, estimate.error_excess()] {
             record.extend([format!("{:.6}", error.translation), format!("{:.6}", error.rotation)]);
         }
         record.extend([
             registration.new_keyframe.to_string(),
+            estimate.contract.time_budget.map_or_else(String::new, |budget| format!("{:.3}", microseconds(budget))),
             format!("{:.3}", microseconds(estimate.elapsed)),
+            format!("{:.3}", microseconds(estimate.overrun())),
             estimate.deadline_met().to_string(),
             problem.into(),
         ]);

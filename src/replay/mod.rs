@@ -12,6 +12,7 @@ use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
 use crate::app::{App, Estimate};
 use crate::io::bag::{Bag, BagError, BagMessage};
+use crate::io::contract_schedule::ContractSchedule;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
@@ -49,6 +50,17 @@ impl Topics {
     }
 }
 
+/// What is replayed.
+#[derive(Clone, Copy)]
+pub struct Source<'a> {
+    /// The bag.
+    pub bag: &'a Bag,
+    /// Topics of it.
+    pub topics: &'a Topics,
+    /// Contracts that are not the configuration's.
+    pub schedule: &'a ContractSchedule,
+}
+
 /// What happened besides the estimates.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReplayLog {
@@ -72,19 +84,25 @@ impl ReplayLog {
 /// Replays a bag. `on_estimate` gets each scan with its answer; `on_message` is called for every message read, to show progress. An
 /// error of `on_estimate` ends the replay.
 pub fn replay<E: From<BagError>>(
-    bag: &Bag,
-    topics: &Topics,
+    source: &Source,
     app: &mut App,
     clock: &dyn Clock,
     mut on_message: impl FnMut(),
     mut on_estimate: impl FnMut(&LaserScan, &Estimate, &App) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
+    let Source { bag, topics, schedule } = *source;
     let mut log = ReplayLog::default();
+    let mut first_stamp = None;
     let mut held: Option<HeldScan> = None;
     let mut answer = |held: &HeldScan, app: &mut App, log: &mut ReplayLog| {
         let arrival = clock.now();
         match held.message.decode::<LaserScan>() {
             Ok(scan) => {
+                let stamp = Stamp::from(scan.header.stamp);
+                let first_stamp = *first_stamp.get_or_insert(stamp);
+                if let Some(contract) = schedule.at(stamp.seconds_since(first_stamp)) {
+                    app.set_contract(contract);
+                }
                 let mut estimate = app.on_scan(&scan, arrival);
                 app.conclude(&mut estimate);
                 on_estimate(&scan, &estimate, app)?;

@@ -8,6 +8,7 @@ use comfy_table::{Table, presets};
 use serde_json::{Value, json};
 
 use super::{ReplayLog, microseconds};
+use crate::anytime::ErrorEstimate;
 use crate::app::{Estimate, MountSource};
 use crate::evaluation::report::Report;
 use crate::evaluation::statistics::percentile;
@@ -22,7 +23,10 @@ pub struct Summary {
     iterations: u64,
     matched: usize,
     failures: BTreeMap<String, usize>,
-    budget: Option<Duration>,
+    /// Shortest and longest time budget.
+    budgets: Option<(Duration, Duration)>,
+    /// Answers that had a bound on their error, and those that kept it.
+    bounded: (usize, usize),
     misses: usize,
     worst_overrun: Duration,
 }
@@ -86,7 +90,14 @@ impl Summary {
                 problem.split([':', '.']).next().unwrap_or_default().trim_end_matches(|c: char| c.is_ascii_digit() || c == ' ');
             *self.failures.entry(kind.to_owned()).or_default() += 1;
         }
-        self.budget = estimate.contract.time_budget.or(self.budget);
+        if let Some(budget) = estimate.contract.time_budget {
+            let (shortest, longest) = self.budgets.unwrap_or((budget, budget));
+            self.budgets = Some((shortest.min(budget), longest.max(budget)));
+        }
+        if estimate.contract.has_error_bound() {
+            let kept = estimate.error_excess() == ErrorEstimate::default();
+            self.bounded = (self.bounded.0 + 1, self.bounded.1 + usize::from(kept));
+        }
         self.misses += usize::from(!estimate.deadline_met());
         self.worst_overrun = self.worst_overrun.max(estimate.overrun());
         pose
@@ -126,11 +137,13 @@ impl Summary {
             "keyframes": ending.counters.keyframes,
             "time_us": {"p50": p50, "p99": p99, "max": max},
             "deadline": {
-                "budget_us": self.budget.map(microseconds),
+                "budget_us": self.budgets.filter(|(shortest, longest)| shortest == longest).map(|(budget, _)| microseconds(budget)),
+                "budget_range_us": self.budgets.map(|(shortest, longest)| [microseconds(shortest), microseconds(longest)]),
                 "misses": self.misses,
                 "miss_ratio": self.misses as f64 / self.poses.len().max(1) as f64,
                 "worst_overrun_us": microseconds(self.worst_overrun),
             },
+            "error_bound": {"scans": self.bounded.0, "kept": self.bounded.1},
             "ate_rmse_m": truth["ate_rmse_m"],
             "rpe_1m_rmse_m": truth["rpe_1m_rmse_m"],
             "rpe_1m_rmse_deg": truth["rpe_1m_rmse_deg"],
@@ -154,12 +167,17 @@ impl Summary {
         table.add_row(["keyframes", &ending.counters.keyframes.to_string()]);
         table.add_row(["iterations per scan", &format!("{:.1}", self.mean_iterations())]);
         table.add_row(["time per scan", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
-        if let Some(budget) = self.budget {
+        if let Some((shortest, longest)) = self.budgets {
             let overrun = microseconds(self.worst_overrun);
             let share = 100.0 * self.misses as f64 / self.poses.len().max(1) as f64;
-            let (misses, budget) = (self.misses, microseconds(budget));
-            let text = format!("{misses} ({share:.2} %) of budget {budget:.0} us, worst overrun {overrun:.0} us");
+            let (misses, longest) = (self.misses, microseconds(longest));
+            let from =
+                if microseconds(shortest) < longest { format!("{:.0} to ", microseconds(shortest)) } else { String::new() };
+            let text = format!("{misses} ({share:.2} %) of budget {from}{longest:.0} us, worst overrun {overrun:.0} us");
             table.add_row(["deadline misses", &text]);
+        }
+        if self.bounded.0 > 0 {
+            table.add_row(["error bound kept", &format!("{} of {}", self.bounded.1, self.bounded.0)]);
         }
         let mut text = format!("{table}\n");
         if let Some(report) = &ending.report {

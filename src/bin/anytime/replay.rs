@@ -7,10 +7,11 @@ use anytime_scan_matcher::evaluation::plot::trajectory_plot;
 use anytime_scan_matcher::evaluation::report::{Comparison, Report};
 use anytime_scan_matcher::evaluation::trajectory::Trajectory;
 use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::io::contract_schedule;
 use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::replay::recorder::{OutputFiles, RecordError, Recorder};
 use anytime_scan_matcher::replay::summary::Ending;
-use anytime_scan_matcher::replay::{replay, truth};
+use anytime_scan_matcher::replay::{Source, replay, truth};
 
 use crate::progress;
 use crate::replay_flags::Arguments;
@@ -30,8 +31,9 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let mut recorder = Recorder::create(files, arguments.plot.is_some())?;
     let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
     let tick = || progress.inc(1);
-    let log =
-        replay::<RecordError>(&bag, &topics, &mut app, &*clock, tick, |scan, estimate, app| recorder.add(scan, estimate, app))?;
+    let schedule = arguments.contract_schedule.as_deref().map(contract_schedule::read).transpose()?.unwrap_or_default();
+    let source = Source { bag: &bag, topics: &topics, schedule: &schedule };
+    let log = replay::<RecordError>(&source, &mut app, &*clock, tick, |scan, estimate, app| recorder.add(scan, estimate, app))?;
     progress.finish_and_clear();
     app.store_costs()?;
     let summary = recorder.summary();

@@ -14,6 +14,10 @@ pub(crate) struct Arguments {
     /// Time that a scan's answer may take, such as 5ms [default: `contract.time_budget`]
     #[arg(long, value_parser = humantime::parse_duration)]
     pub(crate) time_budget: Option<Duration>,
+    /// Contracts over time: a CSV file with the columns time (s since the first scan), `time_budget`, `translation_error_bound`,
+    /// `rotation_error_bound`
+    #[arg(long, value_name = "FILE.csv")]
+    pub(crate) contract_schedule: Option<PathBuf>,
     /// Write the pose of every scan
     #[arg(long, value_name = "OUT.tum")]
     pub(crate) tum: Option<PathBuf>,
