@@ -351,14 +351,14 @@ pub fn planar_pose(pose: &Pose) -> Result<Pose2, InputError> {
 }
 
 fn yaw(q: &Quaternion) -> Result<f64, InputError> {
-    let length = (q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w).sqrt();
+    let length = q.norm();
     if !length.is_finite() {
         return Err(InputError::PoseNotFinite);
     }
     if (length - 1.0).abs() > QUATERNION_TOLERANCE {
         return Err(InputError::QuaternionNotNormalized { length });
     }
-    Ok((2.0 * (q.w * q.z + q.x * q.y)).atan2(q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z))
+    Ok(q.yaw())
 }
 
 /// A twist of zeros says nothing: that is how drivers without velocities leave it, and a robot at rest needs none.

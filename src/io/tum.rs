@@ -8,6 +8,7 @@ use std::path::Path;
 use super::text::{self, TextFileError};
 use crate::evaluation::trajectory::{StampedPose, Trajectory};
 use crate::geometry::Pose2;
+use crate::messages::geometry_msgs::Quaternion;
 
 const COLUMNS: &str = "timestamp x y z qx qy qz qw";
 /// How far from 1 the norm of a quaternion may be: files with three decimals pass, columns in the wrong order do not.
@@ -48,13 +49,13 @@ fn parse_pose(columns: &[&str]) -> Result<StampedPose, String> {
     Ok(StampedPose { stamp: text::stamp(columns[0])?, pose })
 }
 
-/// The turn about the vertical; the same for any length of the quaternion.
 fn yaw([x, y, z, w]: [f64; 4]) -> Result<f64, String> {
-    let norm = (x * x + y * y + z * z + w * w).sqrt();
+    let quaternion = Quaternion { x, y, z, w };
+    let norm = quaternion.norm();
     if (norm - 1.0).abs() > NORM_TOLERANCE {
         return Err(format!("the quaternion's norm is {norm:.3}: expected 1 (are the columns `{COLUMNS}`?)"));
     }
-    Ok(f64::atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
+    Ok(quaternion.yaw())
 }
 
 /// Writes a trajectory as it comes into being.

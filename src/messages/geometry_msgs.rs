@@ -30,6 +30,17 @@ impl Quaternion {
         let (z, w) = (0.5 * yaw).sin_cos();
         Self { x: 0.0, y: 0.0, z, w }
     }
+
+    /// The turn about the vertical, rad; the same for any length of the quaternion.
+    pub fn yaw(&self) -> f64 {
+        let Self { x, y, z, w } = self;
+        (2.0 * (w * z + x * y)).atan2(w * w + x * x - y * y - z * z)
+    }
+
+    /// 1 for a rotation.
+    pub fn norm(&self) -> f64 {
+        [self.x, self.y, self.z, self.w].iter().map(|v| v * v).sum::<f64>().sqrt()
+    }
 }
 
 /// `geometry_msgs/Vector3`.
