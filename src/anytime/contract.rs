@@ -19,7 +19,7 @@ crate::knobs! {
         /// what follows starts from the better pose. The answer itself stays.
         finish_after_answer: bool = true;
         /// Share of the steps whose cost stays below what is reckoned with: high keeps deadlines, low uses the time up to the last.
-        confidence: f64 = 0.99, in 0.5 to 0.9999;
+        confidence: f64 = 0.999, in 0.5 to 0.9999;
         /// Shared memory by which a controller on the same machine calls for answers, such as `/anytime_scan_matcher`; unset: none.
         shared_memory: Option<String> = None;
         /// File to keep the learned costs in from run to run: read at start if it is there, written on exit.

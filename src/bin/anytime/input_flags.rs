@@ -3,6 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+#[cfg(target_os = "linux")]
+use anytime_scan_matcher::anytime::clock::ProcessorClock;
 use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock, VirtualClock};
 use anytime_scan_matcher::io::bag::{Bag, BagError};
 use anytime_scan_matcher::replay::Topics;
@@ -39,7 +41,12 @@ impl InputFlags {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub(crate) enum ClockChoice {
+    /// The machine's clock
     Monotonic,
+    /// The processor time of the matching: as on a machine with nothing else to do
+    #[cfg(target_os = "linux")]
+    Processor,
+    /// A count of its readings
     Virtual,
 }
 
@@ -47,6 +54,8 @@ impl ClockChoice {
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Monotonic => "monotonic",
+            #[cfg(target_os = "linux")]
+            Self::Processor => "processor",
             Self::Virtual => "virtual",
         }
     }
@@ -54,6 +63,8 @@ impl ClockChoice {
     pub(crate) fn clock(self) -> Arc<dyn Clock> {
         match self {
             Self::Monotonic => Arc::new(MonotonicClock::default()),
+            #[cfg(target_os = "linux")]
+            Self::Processor => Arc::new(ProcessorClock),
             Self::Virtual => Arc::new(VirtualClock::new(VIRTUAL_TICK)),
         }
     }
