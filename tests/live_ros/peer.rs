@@ -44,13 +44,20 @@ fn peer() {
     let (scan_sender, scans) = channel();
     let (pose_sender, poses) = channel();
     let (report_sender, reports) = channel();
+    // Nobody listens any more when the process is ending.
     let _subscribers = (
-        ros.subscribe("scan", 100, move |scan: LaserScan| drop(scan_sender.send(scan.header.stamp))).unwrap(),
-        ros.subscribe("scan_match_location", 100, move |pose: PoseStamped| {
-            drop(pose_sender.send((pose.header.stamp, Instant::now())))
+        ros.subscribe("scan", 100, move |scan: LaserScan| {
+            let _ = scan_sender.send(scan.header.stamp);
         })
         .unwrap(),
-        ros.subscribe("icp_report", 100, move |report: MatchReport| drop(report_sender.send(report))).unwrap(),
+        ros.subscribe("scan_match_location", 100, move |pose: PoseStamped| {
+            let _ = pose_sender.send((pose.header.stamp, Instant::now()));
+        })
+        .unwrap(),
+        ros.subscribe("icp_report", 100, move |report: MatchReport| {
+            let _ = report_sender.send(report);
+        })
+        .unwrap(),
     );
     println!("ready");
     while let Ok(stamp) = scans.recv_timeout(PATIENCE) {

@@ -1,6 +1,6 @@
 //! How the contract was kept.
 
-use std::fmt;
+use std::fmt::{self, Write as _};
 use std::time::Duration;
 
 use super::super::diagnostics::percentile;
@@ -88,18 +88,18 @@ impl Adherence {
 
     /// The line about the time since the last one, and a new beginning.
     pub(super) fn sum_up(&mut self) -> String {
-        let Tally { reports, budgeted, .. } = self.period;
-        let mut elapsed = std::mem::take(&mut self.elapsed);
+        let period = std::mem::take(&mut self.period);
+        let (mut elapsed, budgets) = (std::mem::take(&mut self.elapsed), std::mem::take(&mut self.budgets));
         elapsed.sort_unstable();
-        let mean = |sum: Duration, count: u64| milliseconds(sum) / count.max(1) as f64;
-        let line = format!(
-            "{}; elapsed mean {:.2} ms, p99 {:.2} ms, of {:.2} ms allowed on average",
-            self.period,
-            mean(elapsed.iter().sum(), reports),
-            milliseconds(percentile(&elapsed, 0.99)),
-            mean(self.budgets, budgeted),
-        );
-        (self.period, self.budgets) = (Tally::default(), Duration::ZERO);
+        let mean = |sum: Duration, count: u64| milliseconds(sum) / count as f64;
+        let mut line = period.to_string();
+        if period.reports > 0 {
+            let p99 = milliseconds(percentile(&elapsed, 0.99));
+            let _ = write!(line, "; elapsed mean {:.2} ms, p99 {p99:.2} ms", mean(elapsed.iter().sum(), period.reports));
+        }
+        if period.budgeted > 0 {
+            let _ = write!(line, ", of {:.2} ms allowed on average", mean(budgets, period.budgeted));
+        }
         line
     }
 
@@ -163,7 +163,7 @@ mod tests {
             "4 scans, 4 reports, 1 late (33.33 %), worst overrun 2.00 ms; elapsed mean 5.00 ms, p99 9.00 ms, of 4.00 ms allowed on \
              average"
         );
-        assert!(adherence.sum_up().starts_with("0 scans, 0 reports, 0 late (0.00 %)"));
+        assert_eq!(adherence.sum_up(), "0 scans, 0 reports, 0 late (0.00 %), worst overrun 0.00 ms");
         assert_eq!((adherence.total().edges, adherence.total().late), (4, 1));
     }
 
