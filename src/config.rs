@@ -134,18 +134,8 @@ impl Config {
     /// Sets one knob. `source_name` says in errors where the value comes from.
     pub fn set(&mut self, path: &str, value: &Value, source_name: &str) -> Result<(), ConfigError> {
         let (group, name) = path.rsplit_once('.').unwrap_or(("", path));
-        match self.group_mut(group).and_then(|knobs| knobs.set(name, value)) {
-            Some(Ok(())) => Ok(()),
-            Some(Err(problem)) => Err(ConfigError::BadValue { source_name: source_name.into(), path: path.into(), problem }),
-            None => Err(self.unknown_knob(path, source_name)),
-        }
-    }
-
-    fn unknown_knob(&self, path: &str, source_name: &str) -> ConfigError {
-        let paths: Vec<String> = self.table().into_iter().map(|(path, _)| path).collect();
-        let hint = nearest_name(path, paths.iter().map(String::as_str))
-            .map_or_else(String::new, |near| format!(" (did you mean '{near}'?)"));
-        ConfigError::UnknownKnob { source_name: source_name.into(), path: path.into(), hint, valid: paths.join(", ") }
+        let outcome = self.group_mut(group).and_then(|knobs| knobs.set(name, value));
+        judge(outcome, path, source_name, || self.table().into_iter().map(|(path, _)| path).collect())
     }
 
     /// Sets every knob of a tree of mappings, such as a YAML document or the private parameters of a node.
@@ -196,6 +186,35 @@ impl Config {
             let _ = writeln!(text, "| `{path}` | `{default}` | {takes} | {} | {} |", knob.unit, knob.help);
         }
         text
+    }
+}
+
+/// Sets knobs of a group that stands by itself from a mapping of names to values; `null` sets none.
+pub fn set_group(knobs: &mut dyn KnobGroup, values: &Value, source_name: &str) -> Result<(), ConfigError> {
+    for (name, value) in values.as_object().into_iter().flatten() {
+        let outcome = knobs.set(name, value);
+        judge(outcome, name, source_name, || knobs.table().iter().map(|knob| knob.name.into()).collect())?;
+    }
+    Ok(())
+}
+
+/// The error for what [`KnobGroup::set`] said of a knob, if it was one; `valid` names the knobs there are.
+fn judge(
+    outcome: Option<Result<(), String>>,
+    path: &str,
+    source_name: &str,
+    valid: impl FnOnce() -> Vec<String>,
+) -> Result<(), ConfigError> {
+    let (source_name, path) = (source_name.into(), path.into());
+    match outcome {
+        Some(Ok(())) => Ok(()),
+        Some(Err(problem)) => Err(ConfigError::BadValue { source_name, path, problem }),
+        None => {
+            let valid = valid();
+            let near = nearest_name(&path, valid.iter().map(String::as_str));
+            let hint = near.map_or_else(String::new, |near| format!(" (did you mean '{near}'?)"));
+            Err(ConfigError::UnknownKnob { source_name, path, hint, valid: valid.join(", ") })
+        }
     }
 }
 

@@ -106,4 +106,9 @@ impl Duration {
     pub fn seconds(self) -> f64 {
         f64::from(self.sec) + f64::from(self.nsec) * 1e-9
     }
+
+    /// The span as far as it is one: zero when it is negative.
+    pub fn span(self) -> std::time::Duration {
+        std::time::Duration::try_from_secs_f64(self.seconds()).unwrap_or_default()
+    }
 }

@@ -23,3 +23,45 @@ impl Message for Contract {
         ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
     ];
 }
+
+/// `anytime_scan_matcher/MatchReport`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MatchReport {
+    pub header: super::std_msgs::Header,
+    pub outcome: u8,
+    pub ok: bool,
+    pub stop_reason: String,
+    pub reason: String,
+    pub time_budget: super::Duration,
+    pub translation_error_bound: f64,
+    pub rotation_error_bound: f64,
+    pub elapsed: super::Duration,
+    pub deadline_met: bool,
+    pub overrun: super::Duration,
+    pub translation_error_excess: f64,
+    pub rotation_error_excess: f64,
+    pub iterations: u32,
+    pub rays: u32,
+    pub rays_used: u32,
+    pub correspondences: u32,
+    pub inliers: u32,
+    pub mean_residual: f64,
+    pub inlier_ratio: f64,
+    pub predicted_translation_error: f64,
+    pub predicted_rotation_error: f64,
+    pub translation_error: f64,
+    pub rotation_error: f64,
+    pub condition_number: f64,
+    pub new_keyframe: bool,
+    pub keyframes: u32,
+    pub dropped: u32,
+}
+
+impl Message for MatchReport {
+    const TYPE: &'static str = "anytime_scan_matcher/MatchReport";
+    const MD5: &'static str = "244011612aafbcc3178c2892051ec4bd";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("anytime_scan_matcher/MatchReport", include_str!("../../msg/anytime_scan_matcher/msg/MatchReport.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+    ];
+}

@@ -24,3 +24,16 @@ impl Message for Empty {
     const DEFINITIONS: &'static [(&'static str, &'static str)] =
         &[("std_msgs/Empty", include_str!("../../msg/std_msgs/msg/Empty.msg"))];
 }
+
+/// `std_msgs/Int32`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Int32 {
+    pub data: i32,
+}
+
+impl Message for Int32 {
+    const TYPE: &'static str = "std_msgs/Int32";
+    const MD5: &'static str = "da5909fbe378aeaf85e547e830cc1bb7";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] =
+        &[("std_msgs/Int32", include_str!("../../msg/std_msgs/msg/Int32.msg"))];
+}

@@ -175,7 +175,7 @@ impl Report {
 
 /// The least of these `sorted` times that a `share` of them does not exceed; zero when there are none.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a share of a length
-fn percentile(sorted: &[Duration], share: f64) -> Duration {
+pub(super) fn percentile(sorted: &[Duration], share: f64) -> Duration {
     let rank = (share * sorted.len() as f64).ceil() as usize;
     sorted.get(rank.saturating_sub(1)).copied().unwrap_or_default()
 }

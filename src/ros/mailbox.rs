@@ -5,21 +5,11 @@ use std::mem;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use super::inlet::Letter;
 use super::subscriptions::Input;
 
 /// Events that may wait: four seconds of odometry at 1 kHz. A match that takes longer loses the oldest.
 const CAPACITY: usize = 4096;
-
-/// A message as it came.
-#[derive(Debug, PartialEq)]
-pub(super) struct Letter {
-    /// Reading of the clock when it came.
-    pub(super) arrival: Duration,
-    /// Name of the node that sent it.
-    pub(super) sender: String,
-    /// Its wire form.
-    pub(super) bytes: Vec<u8>,
-}
 
 /// Anything but a scan.
 #[derive(Debug, PartialEq)]

@@ -11,14 +11,14 @@ use super::shutdown::StopSignal;
 
 const RETRY_PERIOD: Duration = Duration::from_millis(500);
 
-/// Waits until there is a master. `false`: the node is to stop instead.
-pub(super) fn wait_for_master(stop: &StopSignal) -> Result<bool, NodeError> {
+/// Waits until there is a master for the program `name`. `false`: the node is to stop instead.
+pub(super) fn wait_for_master(name: &str, stop: &StopSignal) -> Result<bool, NodeError> {
     let uri = resolve::master();
-    let master = connect("/scan_matcher", "")?;
+    let master = connect(&format!("/{name}"), "")?;
     let mut told = false;
     while let Err(error) = master.get_uri() {
         if !told {
-            print(&format!("scan_matcher: there is no ROS master at {uri} yet ({error}): waiting for it"));
+            print(&format!("{name}: there is no ROS master at {uri} yet ({error}): waiting for it"));
             told = true;
         }
         if stop.wait(RETRY_PERIOD) {

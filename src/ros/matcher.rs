@@ -7,9 +7,10 @@ use serde::Deserialize;
 
 use super::convert::Answer;
 use super::diagnostics::Monitor;
+use super::inlet::Letter;
 use super::interrupts::{Interrupts, LOOK};
 use super::log::{Log, Throttle};
-use super::mailbox::{Event, Letter, Mailbox, Work};
+use super::mailbox::{Event, Mailbox, Work};
 use super::publishers::Publishers;
 use super::subscriptions::Input;
 use crate::anytime::clock::Clock;
@@ -133,7 +134,7 @@ impl Matcher {
 
     fn refuse(&mut self, input: Input, sender: &str, problem: &dyn std::error::Error) {
         self.monitor.count_refused();
-        self.warn(input.topic(), &format!("a message from {sender} is refused: {problem}"));
+        self.warn(input.name(), &format!("a message from {sender} is refused: {problem}"));
     }
 
     fn warn(&mut self, subject: &'static str, text: &str) {

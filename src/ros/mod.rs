@@ -1,4 +1,4 @@
-//! The ROS 1 node around [`App`](crate::app::App). Nothing else in this project knows of rosrust.
+//! The ROS 1 nodes: the one around [`App`](crate::app::App), and a controller for it. Nothing else in this project knows of rosrust.
 //!
 //! ```text
 //!  rosrust's threads          matching thread               main thread
@@ -9,8 +9,10 @@
 //! either answered or counted as dropped; messages leave with the stamp of the scan they are about; nothing waits on ROS time, which
 //! may stand still.
 
+pub mod contract_demo;
 mod convert;
 mod diagnostics;
+mod inlet;
 mod interrupts;
 mod log;
 mod mailbox;
@@ -20,6 +22,7 @@ mod node;
 mod params;
 mod path;
 mod publishers;
+mod shell;
 mod shutdown;
 mod subscriptions;
 
@@ -52,6 +55,12 @@ pub enum NodeError {
     /// The shared memory cannot be had.
     #[error(transparent)]
     SharedMemory(#[from] SharedMemoryError),
+    /// A file of comma-separated values cannot be written.
+    #[error("cannot write {problem}")]
+    Csv {
+        /// The file, and the system's reason.
+        problem: String,
+    },
     /// The ROS graph refused something.
     #[error("cannot {action}: {problem}")]
     Ros {

@@ -13,12 +13,12 @@ use super::diagnostics::{self, Diagnostics, Monitor};
 use super::interrupts::Interrupts;
 use super::log::{Log, ROSOUT};
 use super::mailbox::{Event, Mailbox};
-use super::master::{Change, MasterLink, Role, connect, resolved, wait_for_master};
+use super::master::{Change, MasterLink, Role, resolved};
 use super::matcher::Matcher;
-use super::params;
 use super::publishers::Publishers;
 use super::shutdown::StopSignal;
 use super::subscriptions::{Input, subscribe};
+use super::{params, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
 use crate::app::App;
@@ -32,20 +32,12 @@ const TICK: Duration = Duration::from_millis(100);
 /// Runs the node `scan_matcher` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
 /// parameters.
 pub fn run() -> Result<(), NodeError> {
-    let stop = StopSignal::install()?;
-    if !wait_for_master(&stop)? {
-        return Ok(());
-    }
-    let ros = Ros::new(NAME).map_err(|error| NodeError::ros("start as a ROS node", &error))?;
-    let outcome = serve(&ros, &stop);
-    ros.shutdown_sender().shutdown(); // takes the last entry out of the master's books: rosrust's own publisher of /rosout
-    outcome
+    shell::run(NAME, serve)
 }
 
-fn serve(ros: &Ros, stop: &StopSignal) -> Result<(), NodeError> {
-    let master = connect(ros.name(), ros.uri())?;
-    let config = params::read(&master, ros.name())?;
-    Node::start(ros, &master, &config)?.supervise(stop);
+fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
+    let config = params::read(master, ros.name())?;
+    Node::start(ros, master, &config)?.supervise(stop);
     Ok(())
 }
 
@@ -75,7 +67,7 @@ impl<'a> Node<'a> {
         let publishers = Publishers::new(ros, config.frames.publish_tf)?;
         let diagnostics = Diagnostics::new(ros)?;
         let mut roles = publishers.roles();
-        roles.extend(Input::ALL.map(Input::role));
+        roles.extend(Input::ALL.map(|input| input.topic().role()));
         roles.extend([diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
         let contract = app.contract();
 

@@ -1,33 +1,53 @@
-//! The node's parameters.
+//! The nodes' parameters.
 
 use std::path::Path;
 
 use rosrust::api::Master;
 
 use super::NodeError;
-use crate::config::{Config, ConfigError};
-use crate::knobs::Value;
+use crate::config::{Config, ConfigError, set_group};
+use crate::knobs::{KnobGroup, Value};
 
 /// Names a YAML file to read before the other parameters.
 const CONFIG_FILE: &str = "config";
 /// Old nodes' way of prefixing frames: launch files set it for whole groups of nodes. It means nothing here.
 const TF_PREFIX: &str = "tf_prefix";
 
-/// Reads the private parameters of `node` from the master.
+/// Reads the configuration from the private parameters of `node` on the master.
 pub(super) fn read(master: &Master, node: &str) -> Result<Config, NodeError> {
+    let tree = private_parameters(master, node)?;
+    configure(tree, node).map_err(|problem| NodeError::Parameters { node: node.into(), problem })
+}
+
+/// Reads the knobs of a node that has only one group of them.
+pub(super) fn read_group<G: KnobGroup + Default>(master: &Master, node: &str) -> Result<G, NodeError> {
+    let (tree, mut group) = (private_parameters(master, node)?, G::default());
+    let outcome = set_group(&mut group, &tree, &format!("parameters of {node}"));
+    outcome.map(|()| group).map_err(|problem| NodeError::Parameters { node: node.into(), problem })
+}
+
+/// The value of a parameter does not go with the others.
+pub(super) fn refused(node: &str, name: &str, problem: String) -> NodeError {
+    let problem = ConfigError::BadValue { source_name: format!("parameters of {node}"), path: name.into(), problem };
+    NodeError::Parameters { node: node.into(), problem }
+}
+
+fn private_parameters(master: &Master, node: &str) -> Result<Value, NodeError> {
     let failed = |error| NodeError::ros(format!("read the parameters of {node}"), &error);
     let exists = master.has_param(node).map_err(failed)?;
-    let tree = if exists { master.get_param(node).map_err(failed)? } else { Value::Null };
-    configure(tree, node).map_err(|problem| NodeError::Parameters { node: node.into(), problem })
+    let mut tree = if exists { master.get_param(node).map_err(failed)? } else { Value::Null };
+    if let Value::Object(parameters) = &mut tree {
+        parameters.remove(TF_PREFIX);
+    }
+    Ok(tree)
 }
 
 fn configure(mut tree: Value, node: &str) -> Result<Config, ConfigError> {
     let mut config = Config::default();
-    if let Value::Object(parameters) = &mut tree {
-        parameters.remove(TF_PREFIX);
-        if let Some(file) = parameters.remove(CONFIG_FILE) {
-            read_file(&mut config, &file, node)?;
-        }
+    if let Value::Object(parameters) = &mut tree
+        && let Some(file) = parameters.remove(CONFIG_FILE)
+    {
+        read_file(&mut config, &file, node)?;
     }
     config.set_tree(&tree, &format!("parameters of {node}"))?;
     Ok(config)
@@ -55,7 +75,7 @@ mod tests {
     fn the_file_comes_first_and_single_parameters_win() {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "base_frame: car\nmatching: {max_iterations: 7}\n").unwrap();
-        let tree = json!({"config": file.path(), "tf_prefix": "robot", "matching": {"max_iterations": 9}});
+        let tree = json!({"config": file.path(), "matching": {"max_iterations": 9}});
         let config = configure(tree, "/node").unwrap();
         assert_eq!((config.frames.base_frame.as_str(), config.matching.max_iterations), ("car", 9));
         assert_eq!(configure(Value::Null, "/node").unwrap(), Config::default());

@@ -9,12 +9,18 @@ use anytime_scan_matcher::app::{App, planar_pose};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
+use anytime_scan_matcher::io::simulated_bag::record;
+use anytime_scan_matcher::io::tum::TumWriter;
+use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::messages::Message;
 use anytime_scan_matcher::messages::geometry_msgs::{Pose, PoseStamped};
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::messages::std_msgs::Header;
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::simulation::built_in::BuiltIn;
+use anytime_scan_matcher::simulation::drive::Settings;
+use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
 use rosrust::RosMsg;
 use rosrust_msg::anytime_scan_matcher::MatchReport;
@@ -52,8 +58,7 @@ pub fn header(seconds: f64, frame: &str) -> Header {
 }
 
 #[allow(clippy::cast_possible_truncation)] // messages carry f32
-fn scan(number: u32, seconds: f64) -> LaserScan {
-    let laser = Laser::with_field_of_view(270.0, 541);
+fn scan(number: u32, seconds: f64, laser: Laser) -> LaserScan {
     let room_from_laser = Pose2::new(-1.0, -1.0, 0.3) * base_pose(seconds) * LASER_IN_BASE;
     let ranges = laser
         .geometry()
@@ -83,14 +88,28 @@ fn odometry(seconds: f64) -> Odometry {
 
 /// Writes a bag with `scans` scans at 40 Hz, each some time after the odometry of its stamp, and whatever `extra` adds.
 pub fn write(path: &Path, scans: u32, extra: impl FnOnce(&mut BagWriter)) {
+    write_with_beams(path, scans, 541, extra);
+}
+
+pub fn write_with_beams(path: &Path, scans: u32, beams: usize, extra: impl FnOnce(&mut BagWriter)) {
+    let laser = Laser::with_field_of_view(270.0, beams);
     let mut writer = BagWriter::create(path, Compression::None).unwrap();
     for number in 0..scans {
         let seconds = f64::from(number) * PERIOD;
         writer.write("/odom", at(seconds), &odometry(seconds)).unwrap();
-        writer.write("/scan", at(seconds + 0.012), &scan(number, seconds)).unwrap();
+        writer.write("/scan", at(seconds + 0.012), &scan(number, seconds, laser)).unwrap();
     }
     extra(&mut writer);
     writer.finish().unwrap();
+}
+
+/// Writes the bag of a simulated car's drive through a room: 1081 beams with noise, at 40 Hz. The number of scans.
+pub fn simulate(path: &Path, seconds: f64) -> usize {
+    let mut settings = Settings::default();
+    settings.drive.duration = Seconds(seconds);
+    let bag = BagWriter::create(path, Compression::None).unwrap();
+    let scene = Scene::built_in(BuiltIn::Room).unwrap();
+    record(&settings, &scene, bag, TumWriter::new(std::io::sink())).unwrap().try_into().unwrap()
 }
 
 /// The poses that the application gives for a bag, message by message.

@@ -4,8 +4,10 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod contracts;
 mod drive;
 mod graph;
+mod peer;
 
 use std::fs;
 use std::path::Path;
@@ -15,9 +17,9 @@ use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::messages::geometry_msgs::{PoseStamped, PoseWithCovarianceStamped, TransformStamped};
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
-use anytime_scan_matcher::messages::own::Contract;
+use anytime_scan_matcher::messages::own::{self, Contract};
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
-use anytime_scan_matcher::messages::std_msgs::Header;
+use anytime_scan_matcher::messages::std_msgs::{Empty, Header, Int32};
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::messages::{self, Message};
 use drive::{EndlessScan, MOUNT, Recording, TOPICS, Text, at, header, pose_message};
@@ -81,6 +83,9 @@ fn message_types_are_those_of_the_ros_installed() {
         pair::<TransformStamped, rosrust_msg::geometry_msgs::TransformStamped>(),
     ];
     pair::<Contract, rosrust_msg::anytime_scan_matcher::Contract>();
+    pair::<own::MatchReport, MatchReport>();
+    pair::<Int32, rosrust_msg::std_msgs::Int32>();
+    pair::<Empty, rosrust_msg::std_msgs::Empty>();
     let outputs = [
         rosrust_msg::std_msgs::Int32::md5sum(),
         rosrust_msg::nav_msgs::Path::md5sum(),
@@ -295,7 +300,7 @@ fn the_launch_file_starts_the_release_build_with_its_arguments() {
     launch.expect_log("matches /front/scan with /odom to /scan_match_location (odom -> car, also on /tf), within 5ms");
     launch.signal("INT");
     assert!(launch.exit_code(PATIENCE).is_some());
-    for arguments in [&["scan_matcher.launch"][..], &["replay.launch", "bag:=any.bag", "rviz:=true"]] {
+    for arguments in [&["scan_matcher.launch"][..], &["replay.launch", "bag:=any.bag", "rviz:=true"], &["contract_demo.launch"]] {
         let nodes = graph.output("roslaunch", &[&["--nodes", "anytime_scan_matcher"], arguments].concat());
         assert!(nodes.contains("/scan_matcher"), "{nodes}");
     }

@@ -1,0 +1,26 @@
+//! A controller that gives the scan matcher its time contract.
+#![allow(clippy::print_stdout, clippy::print_stderr)] // a program speaks to its user
+
+mod node_program;
+
+use std::process::ExitCode;
+
+use anytime_scan_matcher::knobs::KnobGroup as _;
+use anytime_scan_matcher::ros::contract_demo::{self, ContractDemoKnobs};
+use node_program::NodeProgram;
+
+const USAGE: &str = "\
+Gives the scan matcher its time contract by the robot's speed, short when it is fast, and logs how the contract is kept. A ROS 1 node;
+waits for the master when there is none.
+
+Usage: contract_demo [TOPIC:=OTHER_TOPIC]... [_PARAMETER:=VALUE]... [__name:=NAME] [__ns:=NAMESPACE]
+
+Subscribes to:  icp/odom, icp_state, icp_report
+Publishes:      icp_contract
+
+Parameters, in the node's private namespace (~budget_fast):";
+
+fn main() -> ExitCode {
+    let parameters = ContractDemoKnobs::default().table().into_iter().map(|knob| (knob.name.into(), knob)).collect();
+    NodeProgram { name: "contract_demo", usage: USAGE, parameters, run: contract_demo::run }.main()
+}

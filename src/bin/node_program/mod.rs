@@ -1,0 +1,55 @@
+//! What the programs of all nodes do with their arguments: those that are not ROS's.
+
+use std::process::ExitCode;
+
+use anytime_scan_matcher::knobs::KnobInfo;
+use anytime_scan_matcher::ros::NodeError;
+
+/// A node as its program.
+pub(crate) struct NodeProgram<'a> {
+    pub(crate) name: &'a str,
+    /// The help, up to the parameters.
+    pub(crate) usage: &'a str,
+    /// Path and description of every parameter.
+    pub(crate) parameters: Vec<(String, KnobInfo)>,
+    pub(crate) run: fn() -> Result<(), NodeError>,
+}
+
+impl NodeProgram<'_> {
+    /// Runs the node, unless the arguments ask for something else.
+    pub(crate) fn main(&self) -> ExitCode {
+        match unknown_argument().as_deref() {
+            None => self.run_node(),
+            Some("-h" | "--help") => {
+                println!("{}", self.usage);
+                for (path, knob) in &self.parameters {
+                    println!("  {path} ({}; default {}): {}", knob.accepts, knob.default, knob.help);
+                }
+                ExitCode::SUCCESS
+            }
+            Some("-V" | "--version") => {
+                println!("{} {}", self.name, env!("CARGO_PKG_VERSION"));
+                ExitCode::SUCCESS
+            }
+            Some(argument) => {
+                eprintln!("{0}: unexpected argument '{argument}': see {0} --help", self.name);
+                ExitCode::from(2)
+            }
+        }
+    }
+
+    fn run_node(&self) -> ExitCode {
+        match (self.run)() {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                eprintln!("{}: {error}", self.name);
+                ExitCode::FAILURE
+            }
+        }
+    }
+}
+
+/// The first argument that is not ROS's.
+fn unknown_argument() -> Option<String> {
+    std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned()).find(|argument| !argument.contains(":="))
+}

@@ -1,0 +1,205 @@
+//! The controller on the ROS graph.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Duration;
+
+use rosrust::Subscriber;
+use rosrust::api::{Master, Ros};
+use rosrust_msg::anytime_scan_matcher::Contract as ContractMessage;
+use serde::Deserialize;
+
+use super::ContractDemoKnobs;
+use super::adherence::Adherence;
+use super::budget::{BudgetLaw, Schedule};
+use super::csv_file::CsvFile;
+use crate::anytime::clock::{Clock, MonotonicClock};
+use crate::anytime::contract::Contract;
+use crate::messages::nav_msgs::Odometry;
+use crate::messages::own::MatchReport;
+use crate::messages::std_msgs::{Header, Int32};
+use crate::messages::{Message, decode};
+use crate::ros::NodeError;
+use crate::ros::inlet::{Letter, Topic, listen};
+use crate::ros::log::{Log, ROSOUT, Throttle};
+use crate::ros::master::{MasterLink, Role};
+use crate::ros::publishers::Output;
+use crate::ros::shutdown::StopSignal;
+
+/// How often the node looks whether it is to stop.
+const TICK: Duration = Duration::from_millis(100);
+/// How often it looks after the master.
+const MASTER_PERIOD: Duration = Duration::from_secs(1);
+
+/// What it hears.
+#[derive(Clone, Copy, Debug)]
+enum Input {
+    Odometry,
+    State,
+    Report,
+}
+
+impl Input {
+    const ALL: [Self; 3] = [Self::Odometry, Self::State, Self::Report];
+
+    fn topic(self) -> Topic {
+        match self {
+            Self::Odometry => Topic::of::<Odometry>("icp/odom"),
+            Self::State => Topic::of::<Int32>("icp_state"),
+            Self::Report => Topic::of::<MatchReport>("icp_report"),
+        }
+    }
+}
+
+pub(super) struct Controller<'a> {
+    ros: &'a Ros,
+    clock: Arc<dyn Clock>,
+    master: MasterLink<'a>,
+    letters: Receiver<(Input, Letter)>,
+    contracts: Output<ContractMessage>,
+    law: BudgetLaw,
+    schedule: Schedule,
+    /// As last heard, m/s.
+    speed: f64,
+    adherence: Adherence,
+    csv: Option<CsvFile>,
+    log_period: Duration,
+    log: Log,
+    throttle: Throttle,
+    // Dropping these ends them.
+    _subscribers: Vec<Subscriber>,
+}
+
+impl<'a> Controller<'a> {
+    pub(super) fn start(ros: &'a Ros, master: &'a Master, knobs: &ContractDemoKnobs) -> Result<Self, NodeError> {
+        let log = Log::new(ros)?;
+        let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
+        let law = BudgetLaw::try_from(knobs)?;
+        let csv = knobs.csv.as_deref().map(|path| CsvFile::create(Path::new(path))).transpose();
+        let csv = csv.map_err(|problem| NodeError::Csv { problem })?;
+        let contracts = Output::new(ros, "icp_contract")?;
+        let (sender, letters) = channel();
+        let subscribers = Input::ALL.map(|input| subscribe(ros, input, &clock, &log, sender.clone()));
+        let mut roles: Vec<Role> = Input::ALL.map(|input| input.topic().role()).into();
+        roles.extend([contracts.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
+        let master = MasterLink::new(ros, master, roles, &log)?;
+        log.info(&format!(
+            "gives scans {:?} at rest and {:?} at {} m/s and beyond",
+            Duration::from_secs_f64(knobs.budget_slow.0),
+            Duration::from_secs_f64(knobs.budget_fast.0),
+            knobs.speed_fast,
+        ));
+        Ok(Self {
+            ros,
+            clock,
+            master,
+            letters,
+            contracts,
+            law,
+            schedule: Schedule::default(),
+            speed: 0.0,
+            adherence: Adherence::default(),
+            csv,
+            log_period: Duration::from_secs_f64(knobs.log_period.0),
+            log,
+            throttle: Throttle::default(),
+            _subscribers: subscribers.into_iter().collect::<Result<_, _>>()?,
+        })
+    }
+
+    /// Until somebody wants it to stop.
+    pub(super) fn run(mut self, stop: &StopSignal) {
+        let (mut looked, mut logged) = (self.clock.now(), self.clock.now());
+        while !stop.wait(Duration::ZERO) && self.ros.is_ok() {
+            if let Ok((input, letter)) = self.letters.recv_timeout(TICK) {
+                self.handle(input, &letter);
+            }
+            let now = self.clock.now();
+            if now.saturating_sub(looked) >= MASTER_PERIOD {
+                looked = now;
+                self.master.check();
+            }
+            if now.saturating_sub(logged) >= self.log_period {
+                self.report(now.saturating_sub(logged));
+                logged = now;
+            }
+        }
+        self.log.info(&format!("in all: {}", self.adherence.total()));
+    }
+
+    fn handle(&mut self, input: Input, letter: &Letter) {
+        match input {
+            Input::Odometry => self.read(letter).into_iter().for_each(|message| self.on_odometry(&message)),
+            Input::State => self.read(letter).into_iter().for_each(|message: Int32| self.adherence.on_state(message.data)),
+            Input::Report => self.read(letter).into_iter().for_each(|message| self.on_report(&message)),
+        }
+    }
+
+    fn read<T: Message + for<'de> Deserialize<'de>>(&mut self, letter: &Letter) -> Option<T> {
+        let refused = |error| self.warn(T::TYPE, &format!("a message from {} is refused: {error}", letter.sender));
+        decode(&letter.bytes).map_err(refused).ok()
+    }
+
+    fn on_odometry(&mut self, message: &Odometry) {
+        let velocity = &message.twist.twist.linear;
+        let speed = velocity.x.hypot(velocity.y);
+        if !speed.is_finite() {
+            return self.warn("icp/odom", "the velocity has numbers that are not finite");
+        }
+        self.speed = speed;
+        let contract = self.law.contract(speed);
+        if self.schedule.is_due(contract, self.clock.now()) {
+            self.contracts.send(|| contract_message(&contract, &message.header));
+        }
+    }
+
+    fn on_report(&mut self, report: &MatchReport) {
+        let in_force = Contract::new(report.time_budget.seconds(), report.translation_error_bound, report.rotation_error_bound);
+        match in_force {
+            Ok(contract) => self.schedule.observe(contract),
+            Err(error) => return self.warn("icp_report", &error.to_string()),
+        }
+        self.adherence.on_report(report);
+        if let Some(Err(problem)) = self.csv.as_mut().map(|csv| csv.write(report, self.speed)) {
+            self.warn("csv", &format!("a row is lost: {problem}"));
+        }
+    }
+
+    fn report(&mut self, time: Duration) {
+        let budget = self.law.contract(self.speed).time_budget.unwrap_or_default();
+        let line = self.adherence.sum_up();
+        self.log.info(&format!("{:.2} m/s, budget {budget:.2?}; in {time:.1?}: {line}", self.speed));
+        if let Some(problem) = self.adherence.disagreement() {
+            self.log.warn(&problem);
+        }
+    }
+
+    fn warn(&mut self, subject: &'static str, text: &str) {
+        if self.throttle.allows(subject, self.clock.now()) {
+            self.log.warn(&format!("{subject}: {text}"));
+        }
+    }
+}
+
+fn subscribe(
+    ros: &Ros,
+    input: Input,
+    clock: &Arc<dyn Clock>,
+    log: &Log,
+    sender: Sender<(Input, Letter)>,
+) -> Result<Subscriber, NodeError> {
+    // Nobody listens any more when the node is ending.
+    listen(ros, input.topic(), clock, log, move |letter| drop(sender.send((input, letter))))
+}
+
+/// With the header of the odometry that it follows from.
+fn contract_message(contract: &Contract, header: &Header) -> ContractMessage {
+    let stamp = rosrust::Time { sec: header.stamp.sec, nsec: header.stamp.nsec };
+    ContractMessage {
+        header: rosrust_msg::std_msgs::Header { seq: header.seq, stamp, frame_id: String::new() },
+        time_budget: contract.time_budget.unwrap_or_default().into(),
+        translation_error_bound: contract.translation_error_bound.unwrap_or_default(),
+        rotation_error_bound: contract.rotation_error_bound.unwrap_or_default(),
+    }
+}
