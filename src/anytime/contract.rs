@@ -22,6 +22,8 @@ crate::knobs! {
         confidence: f64 = 0.999, in 0.5 to 0.9999;
         /// Shared memory by which a controller on the same machine calls for answers, such as `/anytime_scan_matcher`; unset: none.
         shared_memory: Option<String> = None;
+        /// Profile that `anytime profile` has written: the report says what error it leads to expect of the time budget.
+        profile: Option<String> = None;
         /// File to keep the learned costs in from run to run: read at start if it is there, written on exit.
         cost_file: Option<String> = None;
     }

@@ -16,6 +16,7 @@ use crate::anytime::{Driver, ErrorEstimate, Task};
 use crate::config::Config;
 use crate::geometry::{Pose2, Twist2};
 use crate::io::cost_file::{self, CostFileError};
+use crate::io::profile_file::{ExpectedError, Profile, ProfileFileError, VariantProfile};
 use crate::matching::IterationTrace;
 use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
 use crate::messages::nav_msgs::Odometry;
@@ -56,6 +57,17 @@ pub enum InputError {
     Contract(#[from] ContractError),
 }
 
+/// A file that the configuration names is of no use.
+#[derive(Debug, Error)]
+pub enum StartError {
+    /// The learned costs.
+    #[error(transparent)]
+    Costs(#[from] CostFileError),
+    /// The profile.
+    #[error(transparent)]
+    Profile(#[from] ProfileFileError),
+}
+
 /// The answer to a scan.
 #[derive(Clone, Debug)]
 pub struct Estimate {
@@ -65,6 +77,8 @@ pub struct Estimate {
     pub registration: Registration,
     /// The contract that was in force.
     pub contract: Contract,
+    /// The error that the profile leads to expect of such a time budget, if there is a profile and it knows.
+    pub expected_error: Option<ExpectedError>,
     /// Time from the scan's arrival to this answer; once it is concluded, to its pose handed over.
     pub elapsed: Duration,
     /// Reading of the clock when the scan arrived.
@@ -125,6 +139,7 @@ pub struct App {
     clock: Arc<dyn Clock>,
     interrupt: Arc<dyn Interrupt>,
     costs: CostModel,
+    profile: Option<VariantProfile>,
     contract: Contract,
     odometry: LaserOdometry,
     converter: ScanConverter,
@@ -143,6 +158,7 @@ impl App {
             clock,
             interrupt: Arc::new(Never),
             costs: CostModel::new(config.contract.confidence),
+            profile: None,
             contract: Contract::try_from(&config.contract)?,
             odometry: LaserOdometry::new(&config.odometry, &config.matching, &config.rejection),
             converter: ScanConverter::default(),
@@ -153,13 +169,23 @@ impl App {
         })
     }
 
-    /// Gets ready for the first scan: practises on simulated ones, and reads the file of costs, if there is one.
-    pub fn warm_up(&mut self) -> Result<(), CostFileError> {
+    /// Gets ready for the first scan: practises on simulated ones, and reads the files of costs and of the profile, if there are any.
+    pub fn warm_up(&mut self) -> Result<(), StartError> {
         self.costs = warm_up::practise(self);
-        match &self.config.contract.cost_file {
-            Some(path) => cost_file::read(Path::new(path), &mut self.costs).map(drop),
-            None => Ok(()),
+        if let Some(path) = &self.config.contract.cost_file {
+            cost_file::read(Path::new(path), &mut self.costs)?;
         }
+        if let Some(path) = &self.config.contract.profile {
+            let matching = &self.config.matching;
+            let variant = format!("{}+{}", matching.correspondence.name(), matching.solver.name());
+            self.profile = Some(Profile::load(Path::new(path))?.variant(&variant)?.clone());
+        }
+        Ok(())
+    }
+
+    /// The error that the profile leads to expect under the contract in force.
+    pub fn expected_error(&self) -> Option<ExpectedError> {
+        self.profile.as_ref()?.expected_error(self.contract.time_budget.unwrap_or(Duration::MAX))
     }
 
     /// Writes the learned costs to their file, if one is wanted.
@@ -192,7 +218,8 @@ impl App {
         };
         let refined = driver.refined();
         let elapsed = self.clock.now().saturating_sub(arrival);
-        Estimate { stamp, registration, contract: self.contract, elapsed, arrival, refined }
+        let (contract, expected_error) = (self.contract, self.expected_error());
+        Estimate { stamp, registration, contract, expected_error, elapsed, arrival, refined }
     }
 
     /// To be called once the pose of `estimate` has been handed over: takes the time.

@@ -1,7 +1,7 @@
 //! The trade-off between delay and error: the whole bag under every variant and value of a knob, in interleaved rounds.
 //!
 //! A [`plan`] says what is run; a [`study`] runs it ([`run`]) and sums it up ([`summary`]) in tables ([`csv_files`]), [`pictures`], a
-//! page that gathers them ([`html`]) and a file for the node and for planners ([`profile_file`]). Besides the runs it fits what an
+//! page that gathers them ([`html`]) and a file for the node and for planners ([`crate::io::profile_file`]). Besides the runs it fits what an
 //! iteration costs ([`cost`]) and times the correspondence searches ([`search_time`]).
 //!
 //! Errors are those of `anytime evaluate`: of each pose, after the rigid motion that lays the whole trajectory onto the truth with the
@@ -14,7 +14,6 @@ pub mod html;
 pub mod knob;
 pub mod pictures;
 pub mod plan;
-pub mod profile_file;
 pub mod run;
 pub mod search_time;
 pub mod study;
@@ -27,12 +26,12 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use crate::anytime::contract::ContractError;
+use crate::app::StartError;
 use crate::config::ConfigError;
 use crate::evaluation::association::AssociationError;
 use crate::evaluation::plot::PlotError;
 use crate::evaluation::trajectory::TrajectoryError;
 use crate::io::bag::BagError;
-use crate::io::cost_file::CostFileError;
 
 /// Why a study was not done.
 #[derive(Debug, Error)]
@@ -46,9 +45,9 @@ pub enum ProfileError {
     /// The contract of the configuration is none.
     #[error(transparent)]
     Contract(#[from] ContractError),
-    /// The file of learned costs cannot be read.
+    /// A file of the configuration cannot be read.
     #[error(transparent)]
-    CostFile(#[from] CostFileError),
+    Start(#[from] StartError),
     /// The answers make no trajectory.
     #[error("the answers make no trajectory: {0} (is there a scan that can be read on the topic?)")]
     Trajectory(#[from] TrajectoryError),

@@ -10,7 +10,6 @@ use super::html;
 use super::knob::Knob;
 use super::pictures;
 use super::plan::Plan;
-use super::profile_file::{Profile, Provenance, VariantProfile};
 use super::run::{Input, Run, run};
 use super::search_time::{self, SearchTime};
 use super::summary::{CaseSummary, Figures};
@@ -19,6 +18,7 @@ use super::{ProfileError, knob};
 use crate::anytime::clock::Clock;
 use crate::config::Config;
 use crate::evaluation::trajectory::Trajectory;
+use crate::io::profile_file::{Budget, ExpectedError, Profile, Provenance, VariantProfile};
 use crate::matching::correspondence::Correspondence;
 use crate::matching::solver::SolverKind;
 
@@ -187,7 +187,7 @@ impl Results {
         let variants = self.costs.iter().filter_map(|cost| {
             let knobs = [Knob::TimeBudget, Knob::MaxIterations, Knob::Beams, Knob::KeyframeDistance];
             let cases = knobs.iter().map(|&knob| self.of(cost.variant, knob)).find(|cases| !cases.is_empty())?;
-            Some((cost.variant.to_string(), VariantProfile::of(&cases, cost.model)?))
+            Some((cost.variant.to_string(), expectations(&cases, cost.model)?))
         });
         Profile { provenance: self.provenance.clone(), variants: variants.collect() }
     }
@@ -214,4 +214,25 @@ fn costs(cases: &[CaseSummary], answers: &[Vec<(u32, u64, f64)>]) -> Vec<Variant
         VariantCost { variant, model: cost::fit(&levels), levels }
     };
     variants.into_iter().map(cost).collect()
+}
+
+/// What to expect of a variant, by the cases that turn one knob; `None` without any.
+fn expectations(cases: &[&CaseSummary], cost: Option<IterationCost>) -> Option<VariantProfile> {
+    let knob = cases.first()?.case.knob;
+    let budget = |summary: &&CaseSummary| {
+        let (position, orientation) = (summary.figures.position, summary.figures.orientation);
+        let error = ExpectedError {
+            position_mean_m: position.mean,
+            position_p95_m: position.p95,
+            orientation_mean_rad: orientation.mean,
+            orientation_p95_rad: orientation.p95,
+        };
+        let delta_s = match knob {
+            Knob::TimeBudget if summary.case.value > 0.0 => summary.case.value,
+            _ => summary.figures.delay.p99 * 1e-6,
+        };
+        Budget { delta_s, error }
+    };
+    let cost = cost.map(|cost| (cost.setup_us, cost.per_ray_us));
+    Some(VariantProfile::new(knob.name(), cost, cases.iter().map(budget).collect()))
 }

@@ -13,6 +13,7 @@ use rosrust_msg::visualization_msgs::Marker;
 use crate::app::Estimate;
 use crate::config::FrameKnobs;
 use crate::geometry::{Point, Pose2, PoseCovariance};
+use crate::io::profile_file::ExpectedError;
 use crate::odometry::{MatchedPoints, Outcome};
 
 /// Variance of what a scan in the plane says nothing about: height, roll and pitch, in m^2 and rad^2.
@@ -68,6 +69,7 @@ impl Answer<'_> {
         let number = |value: fn(&_) -> f64| refinement.map_or(f64::NAN, value);
         let count = |value: fn(&_) -> u32| refinement.map_or(0, value);
         let (rays, rays_used, inliers) = (count(|r| r.rays), count(|r| r.rays_used), count(|r| r.inliers));
+        let expected = |value: fn(&ExpectedError) -> f64| estimate.expected_error.as_ref().map_or(f64::NAN, value);
         let (outcome, reason) = match &answer.outcome {
             Outcome::Matched => (MatchReport::MATCHED, String::new()),
             Outcome::First => (MatchReport::FIRST, String::new()),
@@ -87,6 +89,10 @@ impl Answer<'_> {
             overrun: estimate.overrun().into(),
             translation_error_excess: estimate.error_excess().translation,
             rotation_error_excess: estimate.error_excess().rotation,
+            expected_translation_error: expected(|e| e.position_mean_m),
+            expected_translation_error_p95: expected(|e| e.position_p95_m),
+            expected_rotation_error: expected(|e| e.orientation_mean_rad),
+            expected_rotation_error_p95: expected(|e| e.orientation_p95_rad),
             iterations: count(|r| r.iterations),
             rays,
             rays_used,

@@ -31,8 +31,8 @@ pub use node::run;
 use thiserror::Error;
 
 use crate::anytime::contract::ContractError;
+use crate::app::StartError;
 use crate::config::ConfigError;
-use crate::io::cost_file::CostFileError;
 use crate::shared_memory::SharedMemoryError;
 
 /// Why the node cannot run.
@@ -49,9 +49,9 @@ pub enum NodeError {
     /// The contract among the parameters is none.
     #[error(transparent)]
     Contract(#[from] ContractError),
-    /// The costs learned at another time cannot be read or written.
+    /// A file that the configuration names is of no use.
     #[error(transparent)]
-    Costs(#[from] CostFileError),
+    Start(#[from] StartError),
     /// The shared memory cannot be had.
     #[error(transparent)]
     SharedMemory(#[from] SharedMemoryError),

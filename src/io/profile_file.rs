@@ -7,9 +7,6 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::cost::IterationCost;
-use super::knob::Knob;
-use super::summary::CaseSummary;
 use crate::knobs::{Value, nearest_name};
 
 /// The expected error of every variant, and the data it was measured on.
@@ -150,26 +147,8 @@ impl Profile {
 }
 
 impl VariantProfile {
-    /// From the cases of one variant that turn one knob; `None` without any.
-    pub(super) fn of(cases: &[&CaseSummary], cost: Option<IterationCost>) -> Option<Self> {
-        let knob = cases.first()?.case.knob;
-        let delta_s = |summary: &CaseSummary| match knob {
-            Knob::TimeBudget if summary.case.value > 0.0 => summary.case.value,
-            _ => summary.figures.delay.p99 * 1e-6,
-        };
-        let mut budgets: Vec<Budget> = cases
-            .iter()
-            .map(|summary| {
-                let (position, orientation) = (summary.figures.position, summary.figures.orientation);
-                let error = ExpectedError {
-                    position_mean_m: position.mean,
-                    position_p95_m: position.p95,
-                    orientation_mean_rad: orientation.mean,
-                    orientation_p95_rad: orientation.p95,
-                };
-                Budget { delta_s: delta_s(summary), error }
-            })
-            .collect();
+    /// From what was measured: in any order, and with errors that chance may have made rise with the budget.
+    pub fn new(measured_by: &str, cost: Option<(f64, f64)>, mut budgets: Vec<Budget>) -> Self {
         budgets.sort_by(|a, b| a.delta_s.total_cmp(&b.delta_s));
         budgets.dedup_by_key(|budget| budget.delta_s);
         for figure in FIGURES {
@@ -179,8 +158,8 @@ impl VariantProfile {
                 *figure(&mut budget.error) = value;
             }
         }
-        let (setup_us, per_ray_us) = cost.map(|cost| (cost.setup_us, cost.per_ray_us)).unzip();
-        Some(Self { measured_by: knob.name().into(), setup_us, per_ray_us, budgets })
+        let (setup_us, per_ray_us) = cost.unzip();
+        Self { measured_by: measured_by.into(), setup_us, per_ray_us, budgets }
     }
 
     /// The error to expect within a budget: on the line between the budgets measured; beyond the longest that of the longest. `None` below
