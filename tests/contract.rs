@@ -36,7 +36,7 @@ impl Bench {
 
     /// Where the laser is at the scan of this number: a start and a jerk, so that predictions are wrong by centimetres.
     fn truth(scan: u32) -> Pose2 {
-        let (step, jerk) = (f64::from(scan), if scan % 2 == 0 { 0.02 } else { -0.02 });
+        let (step, jerk) = (f64::from(scan), if scan.is_multiple_of(2) { 0.02 } else { -0.02 });
         Pose2::new(0.05 * step, jerk, 0.02 * step + jerk)
     }
 

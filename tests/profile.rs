@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::Duration;
 
-use anytime_scan_matcher::profile::profile_file::Profile;
+use anytime_scan_matcher::io::profile_file::Profile;
 use serde_json::Value;
 
 fn anytime(arguments: &[&str]) -> Output {

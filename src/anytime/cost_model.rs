@@ -127,6 +127,7 @@ impl CostModel {
     }
 
     /// Starts from what was known at another time; new samples replace it as they come. Entries that make no sense are left out.
+    #[allow(clippy::cast_possible_truncation)] // seven digits are plenty
     pub fn recall(&mut self, entries: &[CostEntry]) {
         for entry in entries {
             let Some(phase) = Phase::ALL.into_iter().find(|phase| phase.name() == entry.phase) else { continue };

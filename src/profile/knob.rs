@@ -42,7 +42,7 @@ impl Knob {
             Self::TimeBudget => Description {
                 path: "contract.time_budget",
                 unit: "s",
-                values: &[2e-4, 5e-4, 1e-3, 2e-3, 5e-3],
+                values: &[2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3],
                 few_values: &[1e-3, 5e-3],
             },
             Self::Beams => Description {
