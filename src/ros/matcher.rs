@@ -11,6 +11,7 @@ use super::inlet::Letter;
 use super::interrupts::{Interrupts, LOOK};
 use super::log::{Log, Throttle};
 use super::mailbox::{Event, Mailbox, Work};
+use super::priority::Urgency;
 use super::publishers::Publishers;
 use super::subscriptions::Input;
 use crate::anytime::clock::Clock;
@@ -75,6 +76,11 @@ impl Matcher {
 
     /// Works until the mailbox is closed.
     pub(super) fn run(mut self) {
+        let mut urgency = Urgency::of_this_thread();
+        if !urgency.is_permitted() {
+            self.log
+                .info("real-time priority is not permitted (CAP_SYS_NICE, or ulimit -r): busy programs can make answers late");
+        }
         while let Some(Work { events, scan }) = self.mailbox.take() {
             for event in events {
                 self.handle(event);
@@ -84,11 +90,12 @@ impl Matcher {
                 match self.read::<LaserScan>(Input::Scan, &letter) {
                     Some(scan) => {
                         self.await_odometry(scan.header.stamp.into(), letter.arrival);
-                        self.answer(&scan, letter.arrival);
+                        self.answer(&scan, letter.arrival, &mut urgency);
                     }
                     None => self.interrupts.abandon(),
                 }
             }
+            urgency.set(true); // the next scan is to wake this thread at once
         }
         if let Err(error) = self.app.store_costs() {
             self.log.warn(&error.to_string());
@@ -158,10 +165,13 @@ impl Matcher {
         }
     }
 
-    fn answer(&mut self, scan: &LaserScan, arrival: Duration) {
+    fn answer(&mut self, scan: &LaserScan, arrival: Duration, urgency: &mut Urgency) {
+        urgency.set(self.app.contract().time_budget.is_some());
         self.app.set_keep_matched_points(self.publishers.wants_matched_points());
         let mut estimate = self.app.on_scan(scan, arrival);
-        self.publish(&mut estimate);
+        let number = self.publish_pose(&mut estimate);
+        urgency.set(false);
+        self.publish_details(&estimate, number);
         self.app.maintain(&NextScan(&self.mailbox));
         if let Outcome::Predicted(problem) = &estimate.registration.outcome {
             self.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
@@ -170,7 +180,8 @@ impl Matcher {
         self.monitor.record(&estimate);
     }
 
-    fn publish(&mut self, estimate: &mut Estimate) {
+    /// What the answer is wanted for, and the time it took. Its number.
+    fn publish_pose(&mut self, estimate: &mut Estimate) -> u32 {
         // Numbers of headers wrap around.
         #[allow(clippy::cast_possible_truncation)]
         let number = self.app.counters().scans as u32;
@@ -178,6 +189,10 @@ impl Matcher {
         self.publishers.publish_pose(&Answer { estimate, number, frames });
         self.app.conclude(estimate);
         self.interrupts.publish(estimate);
+        number
+    }
+
+    fn publish_details(&mut self, estimate: &Estimate, number: u32) {
         let (now, frames) = (self.clock.now(), &self.app.config().frames);
         let answer = Answer { estimate, number, frames };
         self.publishers.publish_details(&answer, self.app.odometry_counters().keyframes, self.mailbox.dropped().scans);

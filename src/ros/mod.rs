@@ -21,6 +21,7 @@ mod matcher;
 mod node;
 mod params;
 mod path;
+mod priority;
 mod publishers;
 mod shell;
 mod shutdown;

@@ -71,7 +71,8 @@ fn a_new_contract_is_in_force_from_the_next_scan_on_and_an_invalid_one_is_not() 
         writer.write("/icp_contract", at(2.5), &contract(2.5, -1, 0.0, 0.0)).unwrap();
         writer.write("/icp_contract", at(3.0), &contract(3.0, 0, 0.0, 0.0)).unwrap();
     });
-    let node = graph.node(&[MOUNT, "_contract/time_budget:=20ms"]);
+    let to_the_end = ["_matching/epsilon_translation:=0", "_matching/epsilon_rotation:=0"];
+    let node = graph.node(&[&[MOUNT, "_contract/time_budget:=20ms"][..], &to_the_end].concat());
     let recorder = graph.record(&TOPICS);
     graph.play(&bag, &[]);
     let recording = Recording::read(&graph.finish_recording(recorder), "");
@@ -345,6 +346,7 @@ fn adherence_beside_a_busy_loop() {
     elapsed.sort_unstable();
     let late = recording.reports.iter().filter(|report| !report.deadline_met).count();
     let [p50, p99, max] = [50, 99, 100].map(|percent| at_percent(&elapsed, percent));
+
     eprintln!(
         "budget {BUDGET:?}: {late} of {} late ({:.2} %), elapsed p50 {p50:?}, p99 {p99:?}, max {max:?}",
         elapsed.len(),
