@@ -156,7 +156,9 @@ mod tests {
         for (elapsed, budget) in [(2, 4), (6, 4), (3, 4), (9, 0)] {
             adherence.on_report(&report(elapsed, budget));
         }
-        [1, 0, 1, 1, 0].into_iter().for_each(|value| adherence.on_state(value));
+        for value in [1, 0, 1, 1, 0] {
+            adherence.on_state(value);
+        }
         let line = adherence.sum_up();
         assert_eq!(
             line,

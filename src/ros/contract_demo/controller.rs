@@ -130,9 +130,21 @@ impl<'a> Controller<'a> {
 
     fn handle(&mut self, input: Input, letter: &Letter) {
         match input {
-            Input::Odometry => self.read(letter).into_iter().for_each(|message| self.on_odometry(&message)),
-            Input::State => self.read(letter).into_iter().for_each(|message: Int32| self.adherence.on_state(message.data)),
-            Input::Report => self.read(letter).into_iter().for_each(|message| self.on_report(&message)),
+            Input::Odometry => {
+                if let Some(message) = self.read(letter) {
+                    self.on_odometry(&message);
+                }
+            }
+            Input::State => {
+                if let Some(message) = self.read::<Int32>(letter) {
+                    self.adherence.on_state(message.data);
+                }
+            }
+            Input::Report => {
+                if let Some(message) = self.read(letter) {
+                    self.on_report(&message);
+                }
+            }
         }
     }
 
