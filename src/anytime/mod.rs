@@ -115,8 +115,8 @@ impl<'a> Driver<'a> {
     /// Begins with as few rays as it takes for some iterations to fit into the time left. Finer levels follow as time allows.
     fn plan(&self, refinement: &mut Refinement, left: Duration) {
         let fits = |rays: usize| {
-            let iterations = self.costs.typical(Phase::Iteration, rays) * PLANNED_ITERATIONS;
-            iterations + self.costs.guarded(Phase::Closing, rays) <= left
+            let all_but_the_last = self.costs.typical(Phase::Iteration, rays) * (PLANNED_ITERATIONS - 1);
+            all_but_the_last + self.cost_of_iteration_and_answer(rays) <= left
         };
         let mut rays = refinement.next_rays();
         while !fits(rays) && rays / 2 >= FEWEST_RAYS {
