@@ -98,7 +98,7 @@ impl Estimate {
         self.contract.time_budget.map_or(Duration::ZERO, |budget| self.elapsed.saturating_sub(budget))
     }
 
-    /// By how much the estimated error, two standard deviations of it, misses the bounds; zero where it keeps them, or there is none.
+    /// By how much the estimated error, three standard deviations of it, misses the bounds; zero where it keeps them, or there is none.
     pub fn error_excess(&self) -> ErrorEstimate {
         let excess = |error: f64, bound: Option<f64>| bound.map_or(0.0, |bound| (BOUND_SIGMAS * error - bound).max(0.0));
         let error = self.registration.estimated_error;
