@@ -64,6 +64,12 @@ pub fn decode<T: Message + for<'de> Deserialize<'de>>(bytes: &[u8]) -> Result<T,
     Ok(message)
 }
 
+/// The stamp of a message with a header, which it begins with, without reading the rest. `None`: there are too few bytes.
+pub fn header_stamp(bytes: &[u8]) -> Option<Stamp> {
+    let word = |start: usize| bytes.get(start..)?.first_chunk().map(|bytes| u32::from_le_bytes(*bytes));
+    Some(Time { sec: word(4)?, nsec: word(8)? }.into())
+}
+
 /// The wire form of a message.
 pub fn encode<T: Message + Serialize>(message: &T) -> Result<Vec<u8>, DecodeError> {
     let error = |problem: String| DecodeError { message_type: T::TYPE, len: 0, problem };

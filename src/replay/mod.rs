@@ -13,6 +13,7 @@ use crate::anytime::interrupt::Never;
 use crate::app::{App, Estimate};
 use crate::io::bag::{Bag, BagError, BagMessage};
 use crate::io::contract_schedule::ContractSchedule;
+use crate::messages::header_stamp;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
@@ -149,7 +150,7 @@ struct HeldScan<'bag> {
 impl<'bag> HeldScan<'bag> {
     fn new(message: BagMessage<'bag>) -> Self {
         // A scan that cannot be read has no stamp; any will do, it will be answered with an error.
-        let stamp = message.decode::<LaserScan>().map_or(message.time, |scan| scan.header.stamp.into());
+        let stamp = header_stamp(&message.data).unwrap_or(message.time);
         Self { message, stamp }
     }
 
