@@ -40,6 +40,10 @@ pub struct MatchReport {
     pub overrun: super::Duration,
     pub translation_error_excess: f64,
     pub rotation_error_excess: f64,
+    pub expected_translation_error: f64,
+    pub expected_translation_error_p95: f64,
+    pub expected_rotation_error: f64,
+    pub expected_rotation_error_p95: f64,
     pub iterations: u32,
     pub rays: u32,
     pub rays_used: u32,
@@ -59,7 +63,7 @@ pub struct MatchReport {
 
 impl Message for MatchReport {
     const TYPE: &'static str = "anytime_scan_matcher/MatchReport";
-    const MD5: &'static str = "244011612aafbcc3178c2892051ec4bd";
+    const MD5: &'static str = "d8be42be5d46d2adf0eaee3e5f0145e7";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
         ("anytime_scan_matcher/MatchReport", include_str!("../../msg/anytime_scan_matcher/msg/MatchReport.msg")),
         ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
