@@ -19,6 +19,7 @@
 //! | module | what it is |
 //! |---|---|
 //! | [`time`], [`geometry`] | stamps to the nanosecond; poses of the plane, named `odom_from_base` |
+//! | [`quantile`] | quantiles in linear time |
 //! | [`knobs`](mod@knobs) | parameters, each declared once |
 //! | [`messages`] | ROS messages and their wire form, with or without ROS |
 //! | [`scan`], [`transforms`] | a checked scan; where `/tf` says the laser is |
@@ -57,6 +58,7 @@ pub mod matching;
 pub mod messages;
 pub mod odometry;
 pub mod profile;
+pub mod quantile;
 pub mod replay;
 #[cfg(feature = "ros")]
 pub mod ros;

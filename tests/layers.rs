@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 /// From the bottom up. Modules of one layer do not know each other.
 const LAYERS: [&[&str]; 11] = [
-    &["time", "geometry"],
+    &["time", "geometry", "quantile"],
     &["knobs"],
     &["messages"],
     &["scan", "transforms", "shared_memory"],

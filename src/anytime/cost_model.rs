@@ -9,6 +9,8 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use crate::quantile::quantile;
+
 /// Samples that an octave remembers.
 const WINDOW: usize = 2048;
 /// Octaves: up to 2^14 rays.
@@ -17,28 +19,15 @@ const OCTAVES: usize = 14;
 /// A cost of so many times the median is an interruption.
 const INTERRUPTED: f32 = 5.0;
 
-/// A part of the work on a scan.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Phase {
-    /// From taking up the scan to the first iteration.
-    Setup,
-    /// One iteration.
-    Iteration,
-    /// From the last iteration to the pose handed over.
-    Closing,
-}
-
-impl Phase {
-    /// Every phase, in the order of the work.
-    pub const ALL: [Self; 3] = [Self::Setup, Self::Iteration, Self::Closing];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Setup => "setup",
-            Self::Iteration => "iteration",
-            Self::Closing => "closing",
-        }
+crate::choices! {
+    /// A part of the work on a scan, in the order of the work.
+    pub enum Phase {
+        /// From taking up the scan to the first iteration.
+        Setup = "setup",
+        /// One iteration.
+        Iteration = "iteration",
+        /// From the last iteration to the pose handed over.
+        Closing = "closing",
     }
 }
 
@@ -110,7 +99,7 @@ impl CostModel {
     /// Everything that is known, for a file.
     pub fn entries(&self) -> Vec<CostEntry> {
         let mut entries = Vec::new();
-        for phase in Phase::ALL {
+        for &phase in Phase::ALL {
             for (octave, known) in self.phases[phase as usize].iter().enumerate().filter(|(_, octave)| octave.is_known()) {
                 let rays = 1 << octave;
                 let microseconds = |per_ray: f32| f64::from(per_ray) * f64::from(rays) * 1e-3;
@@ -130,11 +119,11 @@ impl CostModel {
     #[allow(clippy::cast_possible_truncation)] // seven digits are plenty
     pub fn recall(&mut self, entries: &[CostEntry]) {
         for entry in entries {
-            let Some(phase) = Phase::ALL.into_iter().find(|phase| phase.name() == entry.phase) else { continue };
+            let Some(phase) = Phase::ALL.iter().find(|phase| phase.name() == entry.phase) else { continue };
             let per_ray = |microseconds: f64| (microseconds * 1e3 / f64::from(entry.rays)) as f32;
             let (median, quantile) = (per_ray(entry.median_us), per_ray(entry.quantile_us));
             if entry.rays > 0 && median.is_finite() && median >= 0.0 && quantile.is_finite() && quantile >= median {
-                self.phases[phase as usize][octave(entry.rays as usize)].recall(median, quantile);
+                self.phases[*phase as usize][octave(entry.rays as usize)].recall(median, quantile);
             }
         }
     }
@@ -183,20 +172,15 @@ impl Octave {
         self.unlearned = 0;
         scratch.clear();
         scratch.extend_from_slice(&self.samples);
-        self.median = quantile(scratch, 0.5);
-        self.quantile = quantile(scratch, confidence).min(INTERRUPTED * self.median);
+        let mut cost_at = |share: f64| quantile(scratch, share, f32::total_cmp);
+        if let (Some(median), Some(quantile)) = (cost_at(0.5), cost_at(confidence)) {
+            (self.median, self.quantile) = (median, quantile.min(INTERRUPTED * median));
+        }
     }
 
     fn recall(&mut self, median: f32, quantile: f32) {
         (self.median, self.quantile) = (median, quantile);
     }
-}
-
-/// The least value that a `share` of the values do not exceed. Reorders them.
-#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a share of a length
-fn quantile(values: &mut [f32], share: f64) -> f32 {
-    let index = ((values.len() as f64 * share).ceil() as usize).clamp(1, values.len()) - 1;
-    *values.select_nth_unstable_by(index, f32::total_cmp).1
 }
 
 #[cfg(test)]

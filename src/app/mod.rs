@@ -252,11 +252,6 @@ impl App {
         self.costs.learn();
     }
 
-    /// What answers cost here.
-    pub fn costs(&self) -> &CostModel {
-        &self.costs
-    }
-
     /// Takes wheel odometry.
     pub fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
         let pose = self.count_refused(planar_pose(&message.pose.pose))?;

@@ -1,6 +1,7 @@
 //! Which correspondences to leave out of a step. Everything here is linear in their number.
 
 use super::correspondence::Nearest;
+use crate::quantile::quantile;
 
 /// A sensed point with its partner in the reference scan.
 #[derive(Clone, Copy, Debug)]
@@ -62,24 +63,15 @@ impl Rejection {
     }
 
     fn trim(&mut self, pairs: &mut Vec<Pair>) {
-        if pairs.is_empty() {
-            return;
-        }
         self.errors.clear();
         self.errors.extend(pairs.iter().map(|pair| pair.squared_error));
         let multiplier = self.knobs.adaptive_multiplier * self.knobs.adaptive_multiplier;
-        let trimmed = percentile(&mut self.errors, self.knobs.trim_percentile);
-        let adaptive = multiplier * percentile(&mut self.errors, self.knobs.adaptive_percentile);
-        let limit = trimmed.min(adaptive);
+        let mut error_at = |fraction: f64| quantile(&mut self.errors, fraction, f64::total_cmp);
+        let trimmed = error_at(self.knobs.trim_percentile);
+        let (Some(trimmed), Some(bulk)) = (trimmed, error_at(self.knobs.adaptive_percentile)) else { return };
+        let limit = trimmed.min(multiplier * bulk);
         pairs.retain(|pair| pair.squared_error <= limit);
     }
-}
-
-/// The value that `fraction` of the values do not exceed. Reorders them.
-#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a fraction of a length
-fn percentile(values: &mut [f64], fraction: f64) -> f64 {
-    let index = ((values.len() as f64 * fraction).ceil() as usize).clamp(1, values.len()) - 1;
-    *values.select_nth_unstable_by(index, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ use super::mailbox::Dropped;
 use super::master::Role;
 use super::publishers::Output;
 use crate::app::Estimate;
+use crate::evaluation::statistics::percentile;
 use crate::odometry::Outcome;
 
 /// Time between two messages.
@@ -154,7 +155,7 @@ impl Report {
         let counts = &self.state.counts;
         let mut latencies = self.state.latencies.clone();
         latencies.sort_unstable();
-        let latency = |share: f64| format!("{:.3}", percentile(&latencies, share).as_secs_f64() * 1e3);
+        let latency = |percent| format!("{:.3}", percentile(&latencies, percent).unwrap_or_default().as_secs_f64() * 1e3);
         [
             ("rate [Hz]", format!("{:.1}", self.since(|c| c.answered) as f64 / self.seconds)),
             ("scans answered", counts.answered.to_string()),
@@ -164,20 +165,13 @@ impl Report {
             ("deadline misses [%]", format!("{:.3}", 100.0 * counts.late as f64 / counts.answered.max(1) as f64)),
             ("worst overrun [ms]", format!("{:.3}", counts.worst_overrun.as_secs_f64() * 1e3)),
             ("messages refused", counts.refused.to_string()),
-            ("latency p50 [ms]", latency(0.5)),
-            ("latency p99 [ms]", latency(0.99)),
-            ("latency max [ms]", latency(1.0)),
+            ("latency p50 [ms]", latency(50)),
+            ("latency p99 [ms]", latency(99)),
+            ("latency max [ms]", latency(100)),
         ]
         .map(|(key, value)| KeyValue { key: key.into(), value })
         .into()
     }
-}
-
-/// The least of these `sorted` times that a `share` of them does not exceed; zero when there are none.
-#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a share of a length
-pub(super) fn percentile(sorted: &[Duration], share: f64) -> Duration {
-    let rank = (share * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.saturating_sub(1)).copied().unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -210,8 +204,8 @@ mod tests {
     #[test]
     fn percentiles_are_latencies_that_were_measured() {
         let sorted: Vec<Duration> = (1..=100).map(Duration::from_millis).collect();
-        let of = |share| percentile(&sorted, share).as_millis();
-        assert_eq!((of(0.5), of(0.99), of(1.0), of(0.0)), (50, 99, 100, 1));
-        assert_eq!(percentile(&[], 0.5), Duration::ZERO);
+        let of = |percent| percentile(&sorted, percent).unwrap_or_default().as_millis();
+        assert_eq!((of(50), of(99), of(100), of(0)), (50, 99, 100, 1));
+        assert_eq!(percentile::<Duration>(&[], 50).unwrap_or_default(), Duration::ZERO);
     }
 }
