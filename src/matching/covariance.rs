@@ -75,7 +75,7 @@ impl UncertaintyEstimator {
         }
         Uncertainty {
             covariance: sums.covariance(solution.range_noise),
-            condition_number: sums.condition_number(solution.pairs.len()),
+            condition_number: condition_number(&symmetric(&sums.information), sums.distance / solution.pairs.len().max(1) as f64),
         }
     }
 }
@@ -163,16 +163,16 @@ impl Sums {
         let covariance = inverse * symmetric(&self.spread) * inverse * (range_noise * range_noise);
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
+}
 
-    fn condition_number(&self, pairs: usize) -> f64 {
-        let lever = self.distance / pairs.max(1) as f64;
-        let mut information = symmetric(&self.information);
-        for i in 0..3 {
-            information[(i, 2)] /= lever;
-            information[(2, i)] /= lever;
-        }
-        let eigenvalues = information.symmetric_eigenvalues();
-        let (least, most) = (eigenvalues.min(), eigenvalues.max());
-        if least > 0.0 { most / least } else { f64::INFINITY }
+/// Of an information matrix (x, y, heading), headings measured by their effect at the distance `lever`, m.
+pub(super) fn condition_number(information: &Matrix3<f64>, lever: f64) -> f64 {
+    let mut information = *information;
+    for i in 0..3 {
+        information[(i, 2)] /= lever;
+        information[(2, i)] /= lever;
     }
+    let eigenvalues = information.symmetric_eigenvalues();
+    let (least, most) = (eigenvalues.min(), eigenvalues.max());
+    if least > 0.0 { most / least } else { f64::INFINITY }
 }

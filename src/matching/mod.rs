@@ -6,23 +6,40 @@
 
 pub mod correspondence;
 mod covariance;
+mod line_fit;
+mod pairing;
 mod ray_order;
 pub mod reference;
 pub mod rejection;
+mod search;
 pub mod solver;
+mod view;
 
-use crate::geometry::{Point, Pose2};
+use std::sync::Arc;
+
+use crate::geometry::{Point, Pose2, PoseCovariance};
 use crate::scan::Scan;
-use correspondence::{Correspondence, CorrespondenceSearch, Nearest};
+use correspondence::Correspondence;
 pub use covariance::Uncertainty;
-use covariance::{Solution, UncertaintyEstimator};
+use line_fit::LineFitter;
+pub use pairing::PlacedView;
+use pairing::{Agreement, ClosestPoint, Pairing, Pairs, Projective};
 use ray_order::RayOrder;
-use reference::Reference;
-use rejection::{Pair, Rejection, RejectionKnobs};
-use solver::{Metric, QuadraticForm, Solver, SolverKind};
+use rejection::RejectionKnobs;
+use search::{Search, Tracked};
+use solver::{Solver, SolverKind};
+pub use view::View;
 
 /// Pairs without which no pose is determined.
-const FEWEST_PAIRS: usize = 3;
+const FEWEST_PAIRS: u32 = 3;
+/// Where fewer of the rays agree, the pose is doubtful.
+const DOUBTFUL_AGREEMENT: f64 = 0.9;
+/// Rays that the search makes do with.
+const SEARCH_RAYS: usize = 90;
+/// Iterations from each start of the search.
+const SEARCH_ITERATIONS: usize = 5;
+/// A prior that led astray has its covariance multiplied by this.
+const DISTRUST: f64 = 25.0;
 /// Each level of the coarse-to-fine schedule has so many times the rays of the one before.
 const LEVEL_RATIO: usize = 4;
 /// A coarse level is left when its steps are below this many epsilons: what remains, the finer one corrects anyway.
@@ -31,8 +48,8 @@ const COARSE_EPSILONS: f64 = 10.0;
 crate::knobs! {
     /// How two scans are matched.
     pub struct MatchingKnobs {
-        /// How the nearest reference ray of a point is found.
-        correspondence: Correspondence = Correspondence::JumpTable;
+        /// How the partner of a point in the reference is found. All but `projective` are for its nearest point: classic PL-ICP.
+        correspondence: Correspondence = Correspondence::Projective;
         /// What is minimised, and how.
         solver: SolverKind = SolverKind::PointToLine;
         /// Rays of the sensed scan that take part at most, spread over the whole field of view; 0: all.
@@ -110,58 +127,109 @@ pub struct IterationTrace {
     /// Mean absolute error of the inliers before the step, m.
     pub mean_residual: f64,
     /// Identity of the set of pairs: equal when the pairs are.
-    fingerprint: u64,
+    fingerprint: Option<u64>,
+}
+
+/// What is known of a pose beforehand, from elsewhere.
+#[derive(Clone, Copy, Debug)]
+pub struct Prior {
+    /// Pose of the sensed laser in the reference frame.
+    pub pose: Pose2,
+    /// Its covariance, m, m, rad.
+    pub covariance: PoseCovariance,
+}
+
+/// Where a match begins.
+#[derive(Clone, Copy, Debug)]
+pub struct FirstGuess {
+    /// Pose of the sensed laser in the reference frame.
+    pub pose: Pose2,
+    /// What weighs against what the scans say.
+    pub prior: Option<Prior>,
+    /// Where else to look.
+    pub window: SearchWindow,
+}
+
+/// Where to look for a better pose than the one that the first guess led to.
+#[derive(Clone, Copy, Debug)]
+pub struct SearchWindow {
+    /// To either side, forward and back, m.
+    pub distance: f64,
+    /// To either side, rad.
+    pub angle: f64,
+    /// Whether to look there however well the scans agree.
+    pub always: bool,
+}
+
+impl Default for SearchWindow {
+    /// Twice the error that tracking copes with.
+    fn default() -> Self {
+        Self { distance: 0.3, angle: 0.35, always: false }
+    }
+}
+
+/// A guess that is no more than a place to start from.
+impl From<Pose2> for FirstGuess {
+    fn from(pose: Pose2) -> Self {
+        Self { pose, prior: None, window: SearchWindow::default() }
+    }
 }
 
 /// Matches scans; keeps the memory that takes between them.
 pub struct Matcher {
     knobs: MatchingKnobs,
-    search: Box<dyn CorrespondenceSearch>,
+    pairing: Box<dyn Pairing>,
     solver: Box<dyn Solver>,
-    rejection: Rejection,
-    uncertainty: UncertaintyEstimator,
-    reference: Reference,
-    /// Number of rays asked for when `sensed` was chosen; 0: not yet.
+    search: Search,
+    fitter: LineFitter,
+    /// Number of rays asked for when they were chosen; 0: not yet.
     rays_chosen: usize,
-    sensed: Vec<Point>,
-    moved: Vec<Point>,
-    nearest: Vec<Nearest>,
-    pairs: Vec<Pair>,
     trace: Vec<IterationTrace>,
 }
 
 impl Matcher {
     /// A matcher with these knobs.
     pub fn new(knobs: &MatchingKnobs, rejection: &RejectionKnobs) -> Self {
+        let noise = knobs.range_noise;
+        let pairing: Box<dyn Pairing> = match knobs.correspondence.search() {
+            Some(search) => Box::new(ClosestPoint::new(search, rejection, knobs.max_correspondence_distance, noise)),
+            None => Box::new(Projective::new(noise)),
+        };
         Self {
-            search: knobs.correspondence.search(),
+            pairing,
             solver: knobs.solver.solver(),
-            rejection: Rejection::new(rejection.clone()),
-            uncertainty: UncertaintyEstimator::default(),
-            reference: Reference::default(),
+            search: Search::default(),
+            fitter: LineFitter::default(),
             rays_chosen: 0,
-            sensed: Vec::new(),
-            moved: Vec::new(),
-            nearest: Vec::new(),
-            pairs: Vec::new(),
             trace: Vec::with_capacity(knobs.max_iterations as usize),
             knobs: knobs.clone(),
         }
     }
 
+    /// Prepares a scan to be matched to.
+    pub fn view(&mut self, scan: &Scan) -> Arc<View> {
+        Arc::new(View::of(scan, self.knobs.range_noise, &mut self.fitter))
+    }
+
     /// Sets the scan that the next ones are matched to.
     pub fn set_reference(&mut self, scan: &Scan) {
-        self.reference.set(scan);
-        self.search.prepare(&self.reference);
+        let view = self.view(scan);
+        self.set_views(&[PlacedView { reference_from_view: Pose2::IDENTITY, view }]);
+    }
+
+    /// Sets what the next scans are matched to: the first view's frame is the reference frame.
+    pub fn set_views(&mut self, views: &[PlacedView]) {
+        self.pairing.set_views(views);
     }
 
     /// Starts to match a scan. `first_guess`: pose of the sensed laser in the reference laser's frame.
-    pub fn begin<'a>(&'a mut self, sensed: &'a Scan, first_guess: Pose2) -> Refinement<'a> {
+    pub fn begin<'a>(&'a mut self, sensed: &'a Scan, first_guess: impl Into<FirstGuess>) -> Refinement<'a> {
+        let first_guess = first_guess.into();
         let all_if_zero = |count: u32| if count == 0 { usize::MAX } else { count as usize };
         let finest = all_if_zero(self.knobs.max_rays).min(sensed.valid_len());
         let coarsest = all_if_zero(self.knobs.coarse_rays);
         self.trace.clear();
-        self.pairs.clear();
+        self.pairing.begin(&first_guess);
         self.rays_chosen = 0;
         let mut refinement = Refinement {
             matcher: self,
@@ -170,12 +238,25 @@ impl Matcher {
             next_rays: 0,
             level_start: 0,
             first_guess,
-            pose: first_guess,
+            pose: first_guess.pose,
             stopped: None,
+            stage: Stage::Track,
+            stage_start: 0,
         };
         refinement.use_rays(coarsest);
         refinement
     }
+}
+
+/// What a refinement is at.
+#[derive(Clone, Copy, Debug)]
+enum Stage {
+    /// From the first guess on.
+    Track,
+    /// The scans do not agree: from other starts.
+    Search,
+    /// From the best of them.
+    Confirm,
 }
 
 /// A match under way.
@@ -188,8 +269,11 @@ pub struct Refinement<'a> {
     next_rays: usize,
     /// Index into the trace of the present level's first iteration.
     level_start: usize,
-    first_guess: Pose2,
+    first_guess: FirstGuess,
     pose: Pose2,
+    stage: Stage,
+    /// Index into the trace of the present stage's first iteration.
+    stage_start: usize,
     stopped: Option<StopReason>,
 }
 
@@ -197,14 +281,79 @@ impl Refinement<'_> {
     /// One iteration; does nothing once it has stopped. Answers why it stopped, `None` while there is more to gain.
     pub fn refine(&mut self) -> Option<StopReason> {
         if self.stopped.is_none() {
-            self.begin_level();
-            match self.iterate() {
-                Err(StopReason::IterationLimit) => self.stopped = Some(StopReason::IterationLimit),
-                Err(_) if self.next_rays < self.finest => self.use_rays(LEVEL_RATIO * self.next_rays),
-                outcome => self.stopped = outcome.err(),
-            }
+            self.stopped = match self.stage {
+                Stage::Search => self.seek(),
+                Stage::Track | Stage::Confirm => self.step().and_then(|outcome| self.review(outcome)),
+            };
         }
         self.stopped
+    }
+
+    /// One iteration of the present level, and on to the next one when it is done; answers what ended the last.
+    fn step(&mut self) -> Option<StopReason> {
+        self.begin_level();
+        match self.iterate() {
+            Err(StopReason::IterationLimit) => Some(StopReason::IterationLimit),
+            Err(_) if self.next_rays < self.finest => {
+                self.use_rays(LEVEL_RATIO * self.next_rays);
+                None
+            }
+            outcome => outcome.err(),
+        }
+    }
+
+    /// What to do when the iterations have come to an end.
+    fn review(&mut self, outcome: StopReason) -> Option<StopReason> {
+        let m = &mut *self.matcher;
+        let Some(agreement) = m.pairing.agreement() else { return Some(outcome) };
+        if let (Stage::Confirm, Some(tracked)) = (self.stage, m.search.tracked()) {
+            let is_better = !outcome.is_failure() && search::is_better(agreement, tracked.agreement, self.finest);
+            return Some(if is_better { outcome } else { self.return_to(&tracked) });
+        }
+        let window = &self.first_guess.window;
+        if !window.always && !outcome.is_failure() && agreement.share() >= DOUBTFUL_AGREEMENT {
+            return Some(outcome);
+        }
+        m.search.begin(&self.first_guess, Tracked { pose: self.pose, width: m.pairing.width(), agreement, outcome });
+        self.stage = Stage::Search;
+        self.next_rays = SEARCH_RAYS.min(self.finest);
+        self.begin_level();
+        None
+    }
+
+    /// A part of the search: starts are scored, then each of the best is refined with few rays, then the best of those with all.
+    fn seek(&mut self) -> Option<StopReason> {
+        let m = &mut *self.matcher;
+        if m.search.score_some(&*m.pairing) {
+            return None;
+        }
+        if let Some(start) = m.search.next_start() {
+            let (pose, agreement) = m.refine_start(start);
+            m.search.consider(pose, agreement);
+            return None;
+        }
+        let tracked = m.search.tracked()?;
+        m.pairing.pair(&tracked.pose, m.solver.metric());
+        let before = m.pairing.agreement()?;
+        let Some(found) = m.search.found(before, m.pairing.rays()) else { return Some(self.return_to(&tracked)) };
+        self.pose = found;
+        // What led astray must not pull the pose back there.
+        let prior = self.first_guess.prior.map(|prior| Prior { covariance: prior.covariance * DISTRUST, ..prior });
+        m.pairing.begin(&FirstGuess { pose: found, prior, ..self.first_guess });
+        self.stage = Stage::Confirm;
+        self.stage_start = m.trace.len();
+        self.use_rays(self.finest);
+        None
+    }
+
+    /// The search has found nothing better.
+    fn return_to(&mut self, tracked: &Tracked) -> StopReason {
+        self.stage = Stage::Track;
+        self.pose = tracked.pose;
+        self.next_rays = self.finest;
+        self.begin_level();
+        self.matcher.pair_again(&self.first_guess, tracked);
+        tracked.outcome
     }
 
     /// From the next iteration on about this many rays take part, as far as there are so many and they are allowed.
@@ -213,9 +362,12 @@ impl Refinement<'_> {
         self.next_rays = if 2 * count > self.finest { self.finest } else { count };
     }
 
-    /// Number of sensed rays that take part in the next iteration, or nearly so.
+    /// Number of sensed rays that take part in the next iteration, or nearly so; of the search, as many as are as much work.
     pub fn next_rays(&self) -> usize {
-        self.next_rays
+        match self.stage {
+            Stage::Search => SEARCH_RAYS * (SEARCH_ITERATIONS + 1),
+            Stage::Track | Stage::Confirm => self.next_rays,
+        }
     }
 
     /// Chooses the rays, where they are others than before.
@@ -224,47 +376,33 @@ impl Refinement<'_> {
         if m.rays_chosen == self.next_rays {
             return;
         }
-        let order = RayOrder::first(self.next_rays, self.scan.valid_len());
-        m.sensed.clear();
-        let chosen = self.scan.rays().enumerate().filter(|(i, _)| order.contains(*i));
-        m.sensed.extend(chosen.map(|(_, (_, direction, range))| direction * range));
-        m.nearest.clear();
-        m.nearest.resize(m.sensed.len(), Nearest::NONE);
+        m.pairing.choose_rays(self.scan, RayOrder::first(self.next_rays, self.scan.valid_len()));
         m.rays_chosen = self.next_rays;
         self.level_start = m.trace.len();
     }
 
-    /// The whole of PL-ICP.
+    /// The whole of ICP.
     fn iterate(&mut self) -> Result<(), StopReason> {
         let m = &mut *self.matcher;
-        if m.reference.is_empty() {
+        let pairs = m.pairing.pair(&self.pose, m.solver.metric()).ok_or(StopReason::TooFewCorrespondences)?;
+        let share = f64::from(pairs.correspondences) / m.pairing.rays() as f64;
+        if share < m.knobs.min_correspondence_ratio || pairs.inliers < FEWEST_PAIRS {
             return Err(StopReason::TooFewCorrespondences);
         }
-        let transform = self.pose.transform();
-        m.moved.clear();
-        m.moved.extend(m.sensed.iter().map(|&p| transform.apply(p)));
-        m.search.find(&m.reference, &m.moved, m.knobs.max_correspondence_distance, &mut m.nearest);
-        pair_up(&m.reference, &m.moved, &m.nearest, m.solver.metric(), &mut m.pairs);
-        let correspondences = m.pairs.len();
-        m.rejection.apply(&mut m.pairs, &m.nearest, m.reference.len());
-        let share = correspondences as f64 / m.sensed.len() as f64;
-        if share < m.knobs.min_correspondence_ratio || m.pairs.len() < FEWEST_PAIRS {
-            return Err(StopReason::TooFewCorrespondences);
-        }
-        let pose = m.solver.solve(&m.quadratic_form(), &self.pose).ok_or(StopReason::Singular)?;
+        let pose = m.solver.solve(&pairs.form, &self.pose).ok_or(StopReason::Singular)?;
         let moved = self.pose.between(&pose);
         self.pose = pose;
-        let earlier = m.record(pose, correspondences, self.level_start);
+        let earlier = m.record(pose, &pairs, self.level_start);
         let epsilons = if m.rays_chosen < self.finest { COARSE_EPSILONS } else { 1.0 };
         let (translation, rotation) = (epsilons * m.knobs.epsilon_translation, epsilons * m.knobs.epsilon_rotation);
-        if moved.distance() <= translation && moved.theta.abs() <= rotation {
+        if pairs.settled && moved.distance() <= translation && moved.theta.abs() <= rotation {
             return Err(StopReason::Converged);
         }
         if let Some(start) = earlier {
             self.pose = m.best_since(start);
             return Err(StopReason::Cycle);
         }
-        if m.trace.len() >= m.knobs.max_iterations as usize {
+        if m.trace.len() >= self.stage_start + m.knobs.max_iterations as usize {
             return Err(StopReason::IterationLimit);
         }
         Ok(())
@@ -277,7 +415,7 @@ impl Refinement<'_> {
 
     /// The pose that the match began with.
     pub fn first_guess(&self) -> Pose2 {
-        self.first_guess
+        self.first_guess.pose
     }
 
     /// What each iteration did so far.
@@ -290,68 +428,55 @@ impl Refinement<'_> {
         self.scan.valid_len()
     }
 
-    /// Points of the reference scan, m, in its laser's frame.
-    pub fn reference_points(&self) -> &[Point] {
-        self.matcher.reference.points()
-    }
-
-    /// The pairs of the last iteration as (sensed point moved to the pose, nearest reference point), m, in the reference laser's frame.
-    pub fn matched_points(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
-        let transform = self.pose.transform();
-        let m = &*self.matcher;
-        m.pairs.iter().map(move |pair| (transform.apply(m.sensed[pair.sensed as usize]), m.reference.points()[pair.ray as usize]))
+    /// The pairs of the last iteration as (sensed point moved to the pose, its partner), m, in the reference frame.
+    pub fn matched_points(&self, points: &mut Vec<(Point, Point)>) {
+        self.matcher.pairing.matched_points(&self.pose, points);
     }
 
     /// How well the pairs of the last iteration fix [`Self::pose`]; `None` before the first iteration.
     pub fn uncertainty(&mut self) -> Option<Uncertainty> {
         let m = &mut *self.matcher;
-        let residual = m.trace.last()?.mean_residual;
-        // The residual holds the noise of both scans; the mean of |e| is sqrt(2/pi) of a normal e's standard deviation.
-        let observed_noise = residual * (std::f64::consts::PI / 4.0).sqrt();
-        let solution = Solution {
-            reference: &m.reference,
-            sensed: &m.sensed,
-            pairs: &m.pairs,
-            pose: self.pose,
-            metric: m.solver.metric(),
-            range_noise: observed_noise.max(m.knobs.range_noise),
-        };
-        Some(m.uncertainty.estimate(&solution))
+        m.trace.last()?;
+        if let (Stage::Search, Some(tracked)) = (self.stage, m.search.tracked()) {
+            m.pair_again(&self.first_guess, &tracked);
+        }
+        Some(m.pairing.uncertainty(&self.pose, m.solver.metric()))
     }
 }
 
 impl Matcher {
-    fn quadratic_form(&self) -> QuadraticForm {
-        let mut form = QuadraticForm::default();
-        for pair in &self.pairs {
-            let p = self.sensed[pair.sensed as usize];
-            match self.solver.metric() {
-                Metric::PointToLine => {
-                    let segment = self.reference.segment(pair.segment as usize);
-                    form.add_line(p, segment.normal, segment.offset, 1.0);
-                }
-                Metric::PointToPoint => {
-                    form.add(p, self.reference.points()[pair.ray as usize], &nalgebra::Matrix2::identity());
-                }
-            }
+    /// Some iterations from a start of the search.
+    fn refine_start(&mut self, start: Pose2) -> (Pose2, Agreement) {
+        let mut pose = start;
+        self.pairing.begin(&start.into());
+        for _ in 0..SEARCH_ITERATIONS {
+            let pairs = self.pairing.pair(&pose, self.solver.metric());
+            let Some(next) = pairs.and_then(|pairs| self.solver.solve(&pairs.form, &pose)) else { break };
+            pose = next;
         }
-        form
+        self.pairing.pair(&pose, self.solver.metric());
+        (pose, self.pairing.agreement().unwrap_or_default())
+    }
+
+    /// Pairs as tracking had last done, with the rays that take part now.
+    fn pair_again(&mut self, first_guess: &FirstGuess, tracked: &Tracked) {
+        self.pairing.begin(first_guess);
+        self.pairing.set_width(tracked.width);
+        self.pairing.pair(&tracked.pose, self.solver.metric());
     }
 
     /// Adds to the trace; answers the earlier iteration with the same pairs, if there is one from `level_start` on.
     #[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
-    fn record(&mut self, pose: Pose2, correspondences: usize, level_start: usize) -> Option<usize> {
-        let fingerprint = fingerprint(&self.pairs);
-        let of_level = self.trace.iter().enumerate().skip(level_start);
-        let earlier = of_level.clone().find(|(_, iteration)| iteration.fingerprint == fingerprint).map(|(i, _)| i);
-        let sum: f64 = self.pairs.iter().map(|pair| pair.squared_error.sqrt()).sum();
+    fn record(&mut self, pose: Pose2, pairs: &Pairs, level_start: usize) -> Option<usize> {
+        let same = |iteration: &IterationTrace| pairs.fingerprint.is_some() && iteration.fingerprint == pairs.fingerprint;
+        let earlier = self.trace.iter().enumerate().skip(level_start).find(|(_, iteration)| same(iteration)).map(|(i, _)| i);
         self.trace.push(IterationTrace {
             pose,
-            rays: self.sensed.len() as u32,
-            correspondences: correspondences as u32,
-            inliers: self.pairs.len() as u32,
-            mean_residual: sum / self.pairs.len() as f64,
-            fingerprint,
+            rays: self.pairing.rays() as u32,
+            correspondences: pairs.correspondences,
+            inliers: pairs.inliers,
+            mean_residual: pairs.mean_residual,
+            fingerprint: pairs.fingerprint,
         });
         earlier
     }
@@ -362,32 +487,4 @@ impl Matcher {
             (start + 1..self.trace.len()).min_by(|&a, &b| self.trace[a].mean_residual.total_cmp(&self.trace[b].mean_residual));
         self.trace[best.map_or(start, |i| i - 1)].pose
     }
-}
-
-/// Pairs each sensed point that has a nearest ray with the segment there.
-#[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
-fn pair_up(reference: &Reference, moved: &[Point], nearest: &[Nearest], metric: Metric, pairs: &mut Vec<Pair>) {
-    pairs.clear();
-    for (i, (&point, found)) in moved.iter().zip(nearest).enumerate() {
-        if !found.found() {
-            continue;
-        }
-        let Some(segment) = reference.segment_at(found.ray as usize, point) else { continue };
-        let squared_error = match metric {
-            Metric::PointToLine => {
-                let line = reference.segment(segment);
-                (line.normal.dot(&point) - line.offset).powi(2)
-            }
-            Metric::PointToPoint => found.squared_distance,
-        };
-        pairs.push(Pair { sensed: i as u32, ray: found.ray, segment: segment as u32, squared_error });
-    }
-}
-
-/// A hash of which points are paired (FNV-1a, by words).
-fn fingerprint(pairs: &[Pair]) -> u64 {
-    pairs.iter().fold(0xcbf2_9ce4_8422_2325, |hash, pair| {
-        let word = u64::from(pair.sensed) << 32 | u64::from(pair.ray) << 1 | u64::from(pair.segment == pair.ray);
-        (hash ^ word).wrapping_mul(0x0000_0100_0000_01b3)
-    })
 }

@@ -3,6 +3,7 @@
 //! [`LaserOdometry::register`] is the whole of it. Frames: `odom` is where the poses are given, `base` is the robot, `laser` the
 //! sensor, and the keyframe is the reference scan's laser.
 
+mod local_map;
 pub mod uncertainty;
 pub mod wheel;
 
@@ -10,9 +11,10 @@ use crate::anytime::{Driver, ErrorEstimate, estimated_error};
 use crate::geometry::{Point, Pose2, PoseCovariance, Twist2};
 use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
-use crate::matching::{IterationTrace, Matcher, MatchingKnobs, Refinement, StopReason};
+use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, Prior, Refinement, SearchWindow, StopReason};
 use crate::scan::Scan;
 use crate::time::Stamp;
+use local_map::{Keyframe, LocalMap};
 use wheel::{WheelEvent, WheelOdometry, WheelSample};
 
 /// Stamps that go back farther than this start a new run (a bag played in a loop); less is a scan out of order, s.
@@ -27,6 +29,8 @@ crate::choices! {
         Previous = "previous",
         /// The last keyframe.
         Keyframe = "keyframe",
+        /// The keyframes around, of the whole path.
+        LocalMap = "local_map",
     }
 }
 
@@ -34,9 +38,15 @@ crate::knobs! {
     /// From matches to a trajectory.
     pub struct OdometryKnobs {
         /// What a scan is matched to: the scan before, or the last keyframe.
-        reference: ReferenceChoice = ReferenceChoice::Keyframe;
+        reference: ReferenceChoice = ReferenceChoice::LocalMap;
+        /// Keyframes that a scan is matched to at once, of those around.
+        views: u32 = 3, in 1 to 20;
+        /// Keyframes kept at most: what bounds the memory of the map.
+        max_keyframes: u32 = 2000, in 1 to 100000;
+        /// reach
+        reach: f64 = 3.0, in 0 to 100;
         /// A new keyframe after this way.
-        keyframe_distance: f64 = 0.5, in 0 to 100, unit "m";
+        keyframe_distance: f64 = 0.4, in 0 to 100, unit "m";
         /// A new keyframe after this turn.
         keyframe_angle: f64 = 0.35, in 0 to 4, unit "rad";
         /// Pose of the laser in the base frame, `[x, y, yaw]`; unset: from `/tf` or `/tf_static`, else the identity, with a warning.
@@ -146,9 +156,9 @@ pub struct OdometryCounters {
     pub without_odometry: u64,
 }
 
-/// The reference scan's place.
+/// The place of the reference frame: the laser's at the first of the keyframes that scans are matched to.
 #[derive(Clone, Copy, Debug)]
-struct Keyframe {
+struct Anchor {
     odom_from_laser: Pose2,
     covariance: PoseCovariance,
 }
@@ -169,11 +179,14 @@ pub struct LaserOdometry {
     wheels: WheelOdometry,
     /// A scan was answered before the odometry had come for it: it may have died, none is waited for until it is back.
     waited_in_vain: bool,
-    keyframe: Option<Keyframe>,
-    upcoming_keyframe: Option<(Scan, Keyframe)>,
+    map: LocalMap,
+    views: Vec<PlacedView>,
+    keyframe: Option<Anchor>,
+    upcoming_keyframe: Option<(Scan, Anchor)>,
     /// The last scan, when its answer was given before its match was done, and the pose (in the keyframe) that it had come to.
     unfinished: Option<(Scan, Attempt, Pose2)>,
     last: Option<Last>,
+    base_from_laser: Pose2,
     start: Pose2,
     counters: OdometryCounters,
     keep_matched_points: bool,
@@ -189,10 +202,13 @@ impl LaserOdometry {
             matcher: Matcher::new(matching, rejection),
             wheels: WheelOdometry::default(),
             waited_in_vain: false,
+            map: LocalMap::default(),
+            views: Vec::new(),
             keyframe: None,
             upcoming_keyframe: None,
             unfinished: None,
             last: None,
+            base_from_laser: Pose2::IDENTITY,
             start: knobs.initial_pose,
             counters: OdometryCounters::default(),
             keep_matched_points: false,
@@ -238,6 +254,7 @@ impl LaserOdometry {
     pub fn forget_reference(&mut self) {
         self.unfinished = None;
         self.keyframe = None;
+        self.map.clear();
         self.upcoming_keyframe = None;
     }
 
@@ -308,8 +325,13 @@ impl LaserOdometry {
     }
 
     /// Matches a scan to the keyframe, from `start` on.
-    fn match_to(&mut self, keyframe: &Keyframe, scan: &Scan, attempt: &Attempt, start: Pose2, driver: &mut Driver) -> Found {
-        let mut refinement = self.matcher.begin(scan, start);
+    fn match_to(&mut self, keyframe: &Anchor, scan: &Scan, attempt: &Attempt, start: Pose2, driver: &mut Driver) -> Found {
+        let guess = FirstGuess { pose: start, prior: Some(attempt.prior(keyframe)), window: SearchWindow {
+            distance: 0.3,
+            angle: (1.2 * attempt.motion.theta.abs()).max(0.35),
+            always: attempt.motion.theta.abs() > 0.35,
+        } };
+        let mut refinement = self.matcher.begin(scan, guess);
         let stop_reason = driver.drive(&mut refinement);
         self.iterations.clear();
         self.iterations.extend_from_slice(refinement.trace());
@@ -319,7 +341,7 @@ impl LaserOdometry {
         let match_covariance = uncertainty.and_then(|known| known.covariance);
         let estimated_error = estimated_error(&refinement, match_covariance.as_ref());
         if self.keep_matched_points {
-            self.matched_points = Some(matched_points(&refinement, &keyframe.odom_from_laser));
+            self.matched_points = Some(matched_points(&refinement, &self.views, &keyframe.odom_from_laser));
         }
         let odom_from_laser = keyframe.odom_from_laser * keyframe_from_laser;
         let correction = attempt.predicted_laser().between(&odom_from_laser);
@@ -347,16 +369,27 @@ impl LaserOdometry {
     /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register`] does it otherwise.
     pub fn maintain(&mut self) {
         self.unfinished = None;
-        if let Some((scan, keyframe)) = self.upcoming_keyframe.take() {
-            self.matcher.set_reference(&scan);
-            self.keyframe = Some(keyframe);
+        if let Some((scan, anchor)) = self.upcoming_keyframe.take() {
+            let view = self.matcher.view(&scan);
+            let Anchor { odom_from_laser, covariance } = anchor;
+            let most = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.max_keyframes as usize } else { 1 };
+            self.map.add(Keyframe { odom_from_laser, covariance, view }, most);
+        } else if self.knobs.reference != ReferenceChoice::LocalMap || self.map.is_empty() {
+            return;
         }
+        let Some(last) = self.last else { return };
+        let around = last.odom_from_base * self.base_from_laser;
+        let count = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.views as usize } else { 1 };
+        local_map::placed(self.map.around(&around, count, self.knobs.reach), &mut self.views);
+        let anchor = self.map.around(&around, 1, self.knobs.reach).next();
+        self.keyframe = anchor.map(|k| Anchor { odom_from_laser: k.odom_from_laser, covariance: k.covariance });
+        self.matcher.set_views(&self.views);
     }
 
     fn wants_keyframe(&self, keyframe_from_laser: &Pose2) -> bool {
         match self.knobs.reference {
             ReferenceChoice::Previous => true,
-            ReferenceChoice::Keyframe => {
+            ReferenceChoice::LocalMap | ReferenceChoice::Keyframe => {
                 keyframe_from_laser.distance() > self.knobs.keyframe_distance
                     || keyframe_from_laser.theta.abs() > self.knobs.keyframe_angle
             }
@@ -480,7 +513,8 @@ impl LaserOdometry {
             let odom_from_laser = answer.odom_from_base * *base_from_laser;
             let covariance =
                 uncertainty::compound(&answer.odom_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
-            self.upcoming_keyframe = Some((scan.clone(), Keyframe { odom_from_laser, covariance }));
+            self.upcoming_keyframe = Some((scan.clone(), Anchor { odom_from_laser, covariance }));
+            self.base_from_laser = *base_from_laser;
         }
         let seconds = self.last.map(|last| scan.stamp().seconds_since(last.stamp));
         let twist = match (self.last, seconds) {
@@ -527,6 +561,19 @@ struct Attempt {
 }
 
 impl Attempt {
+    /// Covariance of the predicted pose of the laser in the keyframe's frame.
+    fn prior(&self, keyframe: &Anchor) -> Prior {
+        let none = PoseCovariance::zeros();
+        let keyframe_from_last = keyframe.odom_from_laser.between(&self.last.odom_from_base);
+        let of_motion = uncertainty::of_prediction(&self.motion);
+        let keyframe_from_base = keyframe_from_last * self.motion;
+        let of_base = uncertainty::compound(&keyframe_from_last, &none, &self.motion, &of_motion);
+        Prior {
+            pose: keyframe_from_base * self.base_from_laser,
+            covariance: uncertainty::compound(&keyframe_from_base, &of_base, &self.base_from_laser, &none),
+        }
+    }
+
     fn predicted_laser(&self) -> Pose2 {
         self.last.odom_from_base * self.motion * self.base_from_laser
     }
@@ -580,10 +627,16 @@ fn problem(report: &RefinementReport, correction: &Pose2, knobs: &OdometryKnobs)
     None
 }
 
-fn matched_points(refinement: &Refinement, odom_from_keyframe: &Pose2) -> MatchedPoints {
+fn matched_points(refinement: &Refinement, views: &[PlacedView], odom_from_keyframe: &Pose2) -> MatchedPoints {
     let transform = odom_from_keyframe.transform();
-    MatchedPoints {
-        reference: refinement.reference_points().iter().map(|&p| transform.apply(p)).collect(),
-        pairs: refinement.matched_points().map(|(p, q)| (transform.apply(p), transform.apply(q))).collect(),
+    let mut pairs = Vec::new();
+    refinement.matched_points(&mut pairs);
+    for (p, q) in &mut pairs {
+        (*p, *q) = (transform.apply(*p), transform.apply(*q));
     }
+    let points = |placed: &PlacedView| {
+        let transform = (*odom_from_keyframe * placed.reference_from_view).transform();
+        placed.view.points().map(move |p| transform.apply(p)).collect::<Vec<_>>()
+    };
+    MatchedPoints { reference: views.iter().flat_map(points).collect(), pairs }
 }

@@ -57,6 +57,7 @@ fn look(variant: Variant) -> Look {
         Correspondence::Naive => (Dash::Dotted, Mark::Triangle),
         Correspondence::JumpTable => (Dash::Solid, Mark::Disc),
         Correspondence::KdTree => (Dash::Dashed, Mark::Square),
+        Correspondence::Projective => (Dash::Solid, Mark::Square),
     };
     Look { dash, mark, ..Look::line(colour(position(SolverKind::ALL, &variant.solver)), 4) }
 }

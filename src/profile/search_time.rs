@@ -45,7 +45,7 @@ pub fn measure(bag: &Bag, scan_topic: &str, max_distance: f64, clock: &dyn Clock
         for (first, second) in &scans {
             time_pair(first, second, max_distance, clock, &mut samples);
         }
-        for (&search, mut samples) in Correspondence::ALL.iter().zip(samples) {
+        for (&search, mut samples) in Correspondence::ALL.iter().filter(|kind| kind.search().is_some()).zip(samples) {
             samples.sort_by(f64::total_cmp);
             times.extend(percentile(&samples, 50).map(|time_us| SearchTime { search, beams, time_us }));
         }
@@ -58,7 +58,7 @@ fn time_pair(first: &Scan, second: &Scan, max_distance: f64, clock: &dyn Clock, 
     let mut reference = Reference::default();
     reference.set(first);
     let points: Vec<Point> = second.rays().map(|(_, direction, range)| direction * range).collect();
-    let mut searches: Vec<_> = Correspondence::ALL.iter().map(|kind| kind.search()).collect();
+    let mut searches: Vec<_> = Correspondence::ALL.iter().filter_map(|kind| kind.search()).collect();
     for search in &mut searches {
         search.prepare(&reference);
     }

@@ -49,16 +49,19 @@ crate::choices! {
         JumpTable = "jump_table",
         /// A k-d tree.
         KdTree = "kd_tree",
+        /// Not the nearest ray, but the surface that the reference laser saw in the point's direction.
+        Projective = "projective",
     }
 }
 
 impl Correspondence {
-    /// A search of this kind.
-    pub fn search(self) -> Box<dyn CorrespondenceSearch> {
+    /// A search of this kind, where it is one for the nearest ray.
+    pub fn search(self) -> Option<Box<dyn CorrespondenceSearch>> {
         match self {
-            Self::Naive => Box::new(naive::Naive),
-            Self::JumpTable => Box::<jump_table::JumpTable>::default(),
-            Self::KdTree => Box::<kd_tree::KdTreeSearch>::default(),
+            Self::Naive => Some(Box::new(naive::Naive)),
+            Self::JumpTable => Some(Box::<jump_table::JumpTable>::default()),
+            Self::KdTree => Some(Box::<kd_tree::KdTreeSearch>::default()),
+            Self::Projective => None,
         }
     }
 }

@@ -10,9 +10,11 @@ mod linearized;
 mod point_to_line;
 mod point_to_point;
 
+use std::ops::AddAssign;
+
 use nalgebra::{Matrix2, Matrix3, Matrix4, Matrix4x3, Vector3, Vector4};
 
-use crate::geometry::{Point, Pose2};
+use crate::geometry::{Point, Pose2, PoseCovariance};
 
 /// What the error of a pair is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,6 +95,66 @@ impl QuadraticForm {
         self.constant += q.dot(&(c * q));
     }
 
+    /// The form whose sum of `w a a'` (upper triangle, row by row), of `w a e` and of `w e^2` are known at a pose, `e` being the errors
+    /// there: their digits are not lost to the pose's.
+    pub fn about(pose: &Pose2, upper: &[f64; 10], gradient: &[f64; 4], value: f64) -> Self {
+        let [m11, m12, m13, m14, m22, m23, m24, m33, m34, m44] = *upper;
+        #[rustfmt::skip]
+        let matrix = Matrix4::new(
+            m11, m12, m13, m14,
+            m12, m22, m23, m24,
+            m13, m23, m33, m34,
+            m14, m24, m34, m44,
+        );
+        let x = lift(pose);
+        let gradient = 2.0 * (Vector4::from(*gradient) - matrix * x);
+        Self { matrix, gradient, constant: value - x.dot(&(matrix * x)) - gradient.dot(&x) }
+    }
+
+    /// What is known of the pose beforehand: `covariance` (m, m, rad) about `pose`, in units of errors of variance `unit`.
+    pub fn of_prior(pose: &Pose2, covariance: &PoseCovariance, unit: f64) -> Self {
+        let Some(information) = covariance.try_inverse().map(|inverse| inverse * unit) else { return Self::default() };
+        // |u - u0| is the angle between the two, for small ones: along u0's perpendicular.
+        let (sin, cos) = pose.theta.sin_cos();
+        let by_pose = nalgebra::Matrix3x4::new(1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -sin, cos);
+        let coupled = by_pose.transpose() * information * by_pose;
+        let x = lift(pose);
+        let mut form = Self { matrix: coupled, gradient: -2.0 * coupled * x, constant: x.dot(&(coupled * x)) };
+        // Across, the sine of the angle alone would not tell a heading from its opposite.
+        let kappa = information.m33;
+        let along = Vector4::new(0.0, 0.0, cos, sin);
+        form.matrix += kappa * along * along.transpose();
+        form.gradient -= 2.0 * kappa * along;
+        form.constant += kappa;
+        form
+    }
+
+    /// A form of poses in `frame`, as one of poses in the frame that `frame` is given in.
+    #[must_use]
+    pub fn seen_from(&self, frame: &Pose2) -> Self {
+        let (sin, cos) = frame.theta.sin_cos();
+        #[rustfmt::skip]
+        let turn = Matrix4::new(
+            cos, sin, 0.0, 0.0,
+            -sin, cos, 0.0, 0.0,
+            0.0, 0.0, cos, sin,
+            0.0, 0.0, -sin, cos,
+        );
+        let shift = -turn * Vector4::new(frame.x, frame.y, 0.0, 0.0);
+        let gradient = self.gradient + 2.0 * self.matrix * shift;
+        Self {
+            matrix: turn.transpose() * self.matrix * turn,
+            gradient: turn.transpose() * gradient,
+            constant: self.constant + self.gradient.dot(&shift) + shift.dot(&(self.matrix * shift)),
+        }
+    }
+
+    /// Weighed as a whole.
+    #[must_use]
+    pub fn scaled(&self, factor: f64) -> Self {
+        Self { matrix: self.matrix * factor, gradient: self.gradient * factor, constant: self.constant * factor }
+    }
+
     /// The sum at a pose. Rounding can take it a little below zero.
     pub fn value(&self, pose: &Pose2) -> f64 {
         let x = lift(pose);
@@ -131,6 +193,14 @@ impl QuadraticForm {
 
     fn rotation_gradient(&self) -> Point {
         self.gradient.fixed_rows::<2>(2).into()
+    }
+}
+
+impl AddAssign for QuadraticForm {
+    fn add_assign(&mut self, other: Self) {
+        self.matrix += other.matrix;
+        self.gradient += other.gradient;
+        self.constant += other.constant;
     }
 }
 

@@ -1,0 +1,165 @@
+//! Pairs a point with the segment at its nearest reference point, as PL-ICP does (Censi 2008), and leaves out the worst pairs. Of the
+//! views of a reference only the first takes part.
+
+use super::{Metric, Pairing, Pairs, PlacedView};
+use crate::geometry::{Point, Pose2};
+use crate::matching::covariance::{Solution, UncertaintyEstimator};
+use crate::matching::correspondence::{CorrespondenceSearch, Nearest};
+use crate::matching::ray_order::RayOrder;
+use crate::matching::reference::Reference;
+use crate::matching::rejection::{Pair, Rejection, RejectionKnobs};
+use crate::matching::solver::QuadraticForm;
+use crate::matching::{FirstGuess, Uncertainty};
+use crate::scan::Scan;
+
+pub(in crate::matching) struct ClosestPoint {
+    max_distance: f64,
+    range_noise: f64,
+    search: Box<dyn CorrespondenceSearch>,
+    rejection: Rejection,
+    uncertainty: UncertaintyEstimator,
+    reference: Reference,
+    sensed: Vec<Point>,
+    moved: Vec<Point>,
+    nearest: Vec<Nearest>,
+    pairs: Vec<Pair>,
+}
+
+impl ClosestPoint {
+    /// `max_distance`: of a pair, m; `range_noise`: standard deviation of a range, m.
+    pub(in crate::matching) fn new(
+        search: Box<dyn CorrespondenceSearch>,
+        rejection: &RejectionKnobs,
+        max_distance: f64,
+        range_noise: f64,
+    ) -> Self {
+        Self {
+            max_distance,
+            range_noise,
+            search,
+            rejection: Rejection::new(rejection.clone()),
+            uncertainty: UncertaintyEstimator::default(),
+            reference: Reference::default(),
+            sensed: Vec::new(),
+            moved: Vec::new(),
+            nearest: Vec::new(),
+            pairs: Vec::new(),
+        }
+    }
+
+    fn mean_residual(&self) -> f64 {
+        let sum: f64 = self.pairs.iter().map(|pair| pair.squared_error.sqrt()).sum();
+        sum / self.pairs.len() as f64
+    }
+
+    fn quadratic_form(&self, metric: Metric) -> QuadraticForm {
+        let mut form = QuadraticForm::default();
+        for pair in &self.pairs {
+            let p = self.sensed[pair.sensed as usize];
+            match metric {
+                Metric::PointToLine => {
+                    let segment = self.reference.segment(pair.segment as usize);
+                    form.add_line(p, segment.normal, segment.offset, 1.0);
+                }
+                Metric::PointToPoint => {
+                    form.add(p, self.reference.points()[pair.ray as usize], &nalgebra::Matrix2::identity());
+                }
+            }
+        }
+        form
+    }
+}
+
+#[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
+impl Pairing for ClosestPoint {
+    fn set_views(&mut self, views: &[PlacedView]) {
+        if let Some(first) = views.first() {
+            self.reference.set(first.view.scan());
+            self.search.prepare(&self.reference);
+        }
+    }
+
+    fn begin(&mut self, _guess: &FirstGuess) {
+        self.pairs.clear();
+    }
+
+    fn choose_rays(&mut self, scan: &Scan, order: RayOrder) {
+        self.sensed.clear();
+        let chosen = scan.rays().enumerate().filter(|(i, _)| order.contains(*i));
+        self.sensed.extend(chosen.map(|(_, (_, direction, range))| direction * range));
+        self.nearest.clear();
+        self.nearest.resize(self.sensed.len(), Nearest::NONE);
+    }
+
+    fn rays(&self) -> usize {
+        self.sensed.len()
+    }
+
+    fn pair(&mut self, pose: &Pose2, metric: Metric) -> Option<Pairs> {
+        if self.reference.is_empty() {
+            return None;
+        }
+        let transform = pose.transform();
+        self.moved.clear();
+        self.moved.extend(self.sensed.iter().map(|&p| transform.apply(p)));
+        self.search.find(&self.reference, &self.moved, self.max_distance, &mut self.nearest);
+        pair_up(&self.reference, &self.moved, &self.nearest, metric, &mut self.pairs);
+        let correspondences = self.pairs.len() as u32;
+        self.rejection.apply(&mut self.pairs, &self.nearest, self.reference.len());
+        Some(Pairs {
+            form: self.quadratic_form(metric),
+            correspondences,
+            inliers: self.pairs.len() as u32,
+            mean_residual: self.mean_residual(),
+            fingerprint: Some(fingerprint(&self.pairs)),
+            settled: true,
+        })
+    }
+
+    fn uncertainty(&mut self, pose: &Pose2, metric: Metric) -> Uncertainty {
+        // The residual holds the noise of both scans; the mean of |e| is sqrt(2/pi) of a normal e's standard deviation.
+        let observed_noise = self.mean_residual() * (std::f64::consts::PI / 4.0).sqrt();
+        self.uncertainty.estimate(&Solution {
+            reference: &self.reference,
+            sensed: &self.sensed,
+            pairs: &self.pairs,
+            pose: *pose,
+            metric,
+            range_noise: observed_noise.max(self.range_noise),
+        })
+    }
+
+    fn matched_points(&self, pose: &Pose2, points: &mut Vec<(Point, Point)>) {
+        let transform = pose.transform();
+        let of = |pair: &Pair| (transform.apply(self.sensed[pair.sensed as usize]), self.reference.points()[pair.ray as usize]);
+        points.extend(self.pairs.iter().map(of));
+    }
+}
+
+/// Pairs each sensed point that has a nearest ray with the segment there.
+#[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
+fn pair_up(reference: &Reference, moved: &[Point], nearest: &[Nearest], metric: Metric, pairs: &mut Vec<Pair>) {
+    pairs.clear();
+    for (i, (&point, found)) in moved.iter().zip(nearest).enumerate() {
+        if !found.found() {
+            continue;
+        }
+        let Some(segment) = reference.segment_at(found.ray as usize, point) else { continue };
+        let squared_error = match metric {
+            Metric::PointToLine => {
+                let line = reference.segment(segment);
+                (line.normal.dot(&point) - line.offset).powi(2)
+            }
+            Metric::PointToPoint => found.squared_distance,
+        };
+        pairs.push(Pair { sensed: i as u32, ray: found.ray, segment: segment as u32, squared_error });
+    }
+}
+
+/// A hash of which points are paired (FNV-1a, by words).
+fn fingerprint(pairs: &[Pair]) -> u64 {
+    pairs.iter().fold(0xcbf2_9ce4_8422_2325, |hash, pair| {
+        let word = u64::from(pair.sensed) << 32 | u64::from(pair.ray) << 1 | u64::from(pair.segment == pair.ray);
+        (hash ^ word).wrapping_mul(0x0000_0100_0000_01b3)
+    })
+}

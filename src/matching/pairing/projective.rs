@@ -1,0 +1,431 @@
+//! Pairs a point with the surface that the reference laser saw in its direction: no nearest neighbour, but what would have been
+//! measured there. Far errors lose their weight by degrees (Geman and McClure 1987) instead of being cut off.
+//!
+//! The squared error of a pair is weighed by its variance, in units of a range's: `cos^2(incidence)` of the sensed range, the
+//! surface's own, and a floor that is the same for all. The floor is what the pairs themselves show beyond the rest. At first that
+//! is the error of the guess: all weigh alike, and the kernel is wide. As the scans come to lie on each other it falls to what
+//! surfaces are uneven, and grazing rays, which know best, count.
+
+use nalgebra::{Matrix2, SymmetricEigen};
+
+use super::{Agreement, Metric, Pairing, Pairs, PlacedView};
+use crate::geometry::{Point, Pose2};
+use crate::matching::covariance::condition_number;
+use crate::matching::ray_order::RayOrder;
+use crate::matching::solver::QuadraticForm;
+use crate::matching::view::Surface;
+use crate::matching::{FirstGuess, Prior, Uncertainty};
+use crate::scan::Scan;
+
+/// An error of so many standard deviations has a quarter of its weight.
+const KERNEL_SIGMAS: f64 = 3.0;
+/// That error for the first pairs, m.
+const FIRST_WIDTH: f64 = 0.3;
+/// From iteration to iteration the floor falls to this part of it at least: what fits first need not fit best.
+const STEEPEST: f64 = 0.16;
+/// It has come to rest when it falls to no less than this part.
+const RESTING: f64 = 0.7;
+/// Least floor, in units of a range's variance: surfaces are uneven, beams are wide.
+const LEAST_FLOOR: f64 = 0.2;
+/// The pairs of neighbouring rays err alike, so that all together know less than their variances say: by this factor of the variance.
+const DEPENDENCE: f64 = 3.0;
+/// A ray agrees with a surface that it ends this near to, m.
+const AGREEMENT: f32 = 0.07;
+/// The same for poses that are no more than starts, m.
+const ROUGH_AGREEMENT: f32 = 0.12;
+/// A direction in which the pairs know so many times what errors of the surfaces' directions feign is not seen at all.
+const FEIGNED: f64 = 4.0;
+
+/// Rays that are handled at a time: what the compiler makes wide instructions of.
+const LANES: usize = 8;
+type Lanes = [f32; LANES];
+
+/// Points of the sensed scan, in its own frame.
+#[derive(Debug, Default)]
+struct Sensed {
+    len: usize,
+    /// m.
+    x: Vec<Lanes>,
+    /// m.
+    y: Vec<Lanes>,
+    /// One by the squared range, 1/m^2.
+    inverse_square: Vec<Lanes>,
+    mean_range: f64,
+}
+
+impl Sensed {
+    #[allow(clippy::cast_possible_truncation)] // to single precision
+    fn set(&mut self, points: impl Iterator<Item = Point>) {
+        self.x.clear();
+        self.y.clear();
+        self.inverse_square.clear();
+        self.len = 0;
+        let mut ranges = 0.0;
+        for point in points {
+            let lane = self.len % LANES;
+            if lane == 0 {
+                self.x.push([1.0; LANES]);
+                self.y.push([0.0; LANES]);
+                self.inverse_square.push([1.0; LANES]);
+            }
+            let last = self.len / LANES;
+            self.x[last][lane] = point.x as f32;
+            self.y[last][lane] = point.y as f32;
+            self.inverse_square[last][lane] = point.norm_squared().recip() as f32;
+            ranges += point.norm();
+            self.len += 1;
+        }
+        self.mean_range = ranges / self.len.max(1) as f64;
+    }
+
+    fn points(&self) -> impl Iterator<Item = Point> + '_ {
+        let of_block = |(x, y): (&Lanes, &Lanes)| (0..LANES).map(|l| Point::new(x[l].into(), y[l].into())).collect::<Vec<_>>();
+        self.x.iter().zip(&self.y).flat_map(of_block).take(self.len)
+    }
+}
+
+/// The surfaces that a block of rays is paired with.
+struct Partners {
+    normal_x: Lanes,
+    normal_y: Lanes,
+    offset: Lanes,
+    variance: Lanes,
+    turn_variance: Lanes,
+}
+
+impl Partners {
+    /// `rays`: of the block, as many as it has.
+    #[inline]
+    #[allow(clippy::cast_sign_loss)] // beams are not negative
+    fn gather(surfaces: &[Surface], beams: &[i32; LANES], rays: usize) -> Self {
+        let mut partners = Self {
+            normal_x: [0.0; LANES],
+            normal_y: [0.0; LANES],
+            offset: [0.0; LANES],
+            variance: [Surface::NONE.variance; LANES],
+            turn_variance: [0.0; LANES],
+        };
+        for (l, &beam) in beams.iter().enumerate().take(rays) {
+            let surface = &surfaces[beam as usize];
+            partners.normal_x[l] = surface.normal[0];
+            partners.normal_y[l] = surface.normal[1];
+            partners.offset[l] = surface.offset;
+            partners.variance[l] = surface.variance;
+            partners.turn_variance[l] = surface.turn_variance;
+        }
+        partners
+    }
+}
+
+/// What is summed over the pairs, by name of the place in [`Sums::of`].
+#[derive(Clone, Copy)]
+enum Sum {
+    /// `w a a'`: upper triangle, row by row, ten of them.
+    Matrix = 0,
+    /// `w a e`, four of them.
+    Gradient = 10,
+    /// `w e^2`, m^2.
+    Squares = 14,
+    /// `w v`: what `w e^2` would be were the noise 1 m.
+    Expected,
+    /// `w` by the variance of the surface's direction.
+    Feigned,
+    /// `w e^2 / v - w`, by how much the floor is too low, weighed.
+    Excess,
+    /// The weights of that.
+    ExcessWeights,
+    /// Absolute errors of the inliers, m.
+    Residuals,
+    /// Inliers.
+    Inliers,
+    /// Pairs.
+    Pairs,
+    /// Number of sums.
+    Count,
+}
+
+/// Sums over the pairs of one view, in its frame.
+struct Sums([Lanes; Sum::Count as usize]);
+
+impl Sums {
+    fn of(&self, sum: Sum) -> f64 {
+        self.at(sum as usize)
+    }
+
+    fn at(&self, place: usize) -> f64 {
+        self.0[place].iter().copied().map(f64::from).sum()
+    }
+
+    fn form(&self, view_from_sensed: &Pose2) -> QuadraticForm {
+        let matrix = std::array::from_fn(|i| self.at(Sum::Matrix as usize + i));
+        let gradient = std::array::from_fn(|i| self.at(Sum::Gradient as usize + i));
+        QuadraticForm::about(view_from_sensed, &matrix, &gradient, self.of(Sum::Squares))
+    }
+}
+
+/// The pairs of all views together.
+#[derive(Clone, Copy, Debug, Default)]
+struct Totals {
+    squares: f64,
+    expected: f64,
+    feigned: f64,
+    excess: f64,
+    excess_weights: f64,
+    residuals: f64,
+    inliers: f64,
+    pairs: f64,
+}
+
+impl Totals {
+    fn add(&mut self, sums: &Sums) {
+        self.squares += sums.of(Sum::Squares);
+        self.expected += sums.of(Sum::Expected);
+        self.feigned += sums.of(Sum::Feigned);
+        self.excess += sums.of(Sum::Excess);
+        self.excess_weights += sums.of(Sum::ExcessWeights);
+        self.residuals += sums.of(Sum::Residuals);
+        self.inliers += sums.of(Sum::Inliers);
+        self.pairs += sums.of(Sum::Pairs);
+    }
+}
+
+pub(in crate::matching) struct Projective {
+    /// Standard deviation of a range, m.
+    noise: f64,
+    views: Vec<PlacedView>,
+    sensed: Sensed,
+    guess: FirstGuess,
+    prior: QuadraticForm,
+    floor: f64,
+    /// Distance of each ray from the nearest surface that it is paired with, m.
+    distances: Vec<Lanes>,
+    form: QuadraticForm,
+    totals: Totals,
+}
+
+impl Projective {
+    pub(in crate::matching) fn new(noise: f64) -> Self {
+        Self {
+            noise,
+            views: Vec::new(),
+            sensed: Sensed::default(),
+            guess: Pose2::IDENTITY.into(),
+            prior: QuadraticForm::default(),
+            floor: LEAST_FLOOR,
+            distances: Vec::new(),
+            form: QuadraticForm::default(),
+            totals: Totals::default(),
+        }
+    }
+
+    /// The sums over the pairs with one view. Everything is in units of the noise's variance but the errors themselves, m.
+    #[allow(clippy::cast_possible_truncation)] // to single precision
+    fn sum(&mut self, view: usize, view_from_sensed: &Pose2) -> Sums {
+        let (bearings, surfaces) = (self.views[view].view.bearings(), self.views[view].view.surfaces());
+        let (sin, cos) = view_from_sensed.theta.sin_cos();
+        let (sin, cos, tx, ty) = (sin as f32, cos as f32, view_from_sensed.x as f32, view_from_sensed.y as f32);
+        let kernel_width = (KERNEL_SIGMAS * self.noise).powi(2) as f32;
+        let per_square = (self.noise * self.noise).recip() as f32;
+        let floor = self.floor as f32;
+        let mut sums = [[0.0; LANES]; Sum::Count as usize];
+        let mut left = self.sensed.len;
+        let sensed = self.sensed.x.iter().zip(&self.sensed.y).zip(&self.sensed.inverse_square);
+        for (((px, py), inverse_square), distances) in sensed.zip(&mut self.distances) {
+            let mut beams = [0; LANES];
+            for l in 0..LANES {
+                beams[l] = bearings.beam(cos * px[l] - sin * py[l] + tx, sin * px[l] + cos * py[l] + ty);
+            }
+            let partners = Partners::gather(surfaces, &beams, left.min(LANES));
+            left = left.saturating_sub(LANES);
+            for l in 0..LANES {
+                let (rx, ry) = (cos * px[l] - sin * py[l], sin * px[l] + cos * py[l]);
+                let (nx, ny) = (partners.normal_x[l], partners.normal_y[l]);
+                let found = if partners.variance[l] < Surface::NONE.variance { 1.0 } else { 0.0 };
+                let facing = nx * rx + ny * ry;
+                let error = facing + nx * tx + ny * ty - partners.offset[l];
+                let squared = error * error;
+                let variance = facing * facing * inverse_square[l] + floor + partners.variance[l];
+                let scale = kernel_width * variance;
+                let kernel = scale / (scale + squared);
+                let by_variance = found / variance;
+                let weight = kernel * kernel * by_variance;
+                let a = [nx, ny, nx * px[l] + ny * py[l], ny * px[l] - nx * py[l]];
+                let mut add = |place: usize, value: f32| sums[place][l] += value;
+                let mut place = Sum::Matrix as usize;
+                for i in 0..4 {
+                    let wa = weight * a[i];
+                    add(Sum::Gradient as usize + i, wa * error);
+                    for aj in &a[i..] {
+                        add(place, wa * aj);
+                        place += 1;
+                    }
+                }
+                let inlier = if squared < scale { found } else { 0.0 };
+                add(Sum::Squares as usize, weight * squared);
+                add(Sum::Expected as usize, weight * variance * found);
+                add(Sum::Feigned as usize, weight * partners.turn_variance[l]);
+                add(Sum::Excess as usize, weight * by_variance * (squared * per_square - variance));
+                add(Sum::ExcessWeights as usize, weight * by_variance);
+                add(Sum::Residuals as usize, inlier * error.abs());
+                add(Sum::Inliers as usize, inlier);
+                add(Sum::Pairs as usize, found);
+                let distance = if found > 0.0 { error.abs() } else { f32::INFINITY };
+                distances[l] = distances[l].min(distance);
+            }
+        }
+        Sums(sums)
+    }
+
+    /// The floor for the next pairs, and whether it has come to rest.
+    fn lower_floor(&mut self) -> bool {
+        let shown = self.floor + self.totals.excess / self.totals.excess_weights.max(f64::MIN_POSITIVE);
+        let floor = shown.max(STEEPEST * self.floor).max(LEAST_FLOOR).min(self.floor);
+        let resting = floor >= RESTING * self.floor;
+        self.floor = floor;
+        resting
+    }
+
+    /// The translation that the pairs leave open, if any: a unit vector. What errors of the surfaces' directions feign to know of it is
+    /// not knowledge.
+    fn free_direction(&self, pose: &Pose2) -> Option<Point> {
+        let information = 0.5 * self.form.linearize(pose).1;
+        let coupling = information.fixed_view::<2, 1>(0, 2);
+        let translation = information.fixed_view::<2, 2>(0, 0) - coupling * coupling.transpose() / information.m33;
+        let eigen = SymmetricEigen::new(Matrix2::from(translation));
+        let least = eigen.eigenvalues.imin();
+        let is_free = eigen.eigenvalues[least] < FEIGNED * self.totals.feigned;
+        is_free.then(|| eigen.eigenvectors.column(least).into_owned())
+    }
+
+    /// What holds the pose where the pairs do not.
+    fn hold(&self, pose: &Pose2) -> QuadraticForm {
+        let Some(direction) = self.free_direction(pose) else { return QuadraticForm::default() };
+        let known = self.guess.prior.map_or(self.guess.pose, |prior| prior.pose);
+        let mut form = QuadraticForm::default();
+        // The line through what is known, at right angles to the direction, as if the pairs that have told of the rest all lay on it.
+        form.add_line(Point::zeros(), direction, direction.dot(&known.translation()), self.totals.expected);
+        form
+    }
+}
+
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts of rays, and to single precision
+impl Pairing for Projective {
+    fn set_views(&mut self, views: &[PlacedView]) {
+        self.views.clear();
+        self.views.extend_from_slice(views);
+    }
+
+    fn begin(&mut self, guess: &FirstGuess) {
+        self.guess = *guess;
+        self.floor = (FIRST_WIDTH / (KERNEL_SIGMAS * self.noise)).powi(2);
+        let unit = DEPENDENCE * self.noise * self.noise;
+        self.prior = guess
+            .prior
+            .map_or_else(QuadraticForm::default, |Prior { pose, covariance }| QuadraticForm::of_prior(&pose, &covariance, unit));
+    }
+
+    fn choose_rays(&mut self, scan: &Scan, order: RayOrder) {
+        let chosen = scan.rays().enumerate().filter(|(i, _)| order.contains(*i));
+        self.sensed.set(chosen.map(|(_, (_, direction, range))| direction * range));
+    }
+
+    fn rays(&self) -> usize {
+        self.sensed.len
+    }
+
+    /// Points are paired with lines here, whatever a solver's metric: so they are for those that minimise distances of points, too.
+    fn pair(&mut self, pose: &Pose2, _metric: Metric) -> Option<Pairs> {
+        if self.views.is_empty() {
+            return None;
+        }
+        self.distances.clear();
+        self.distances.resize(self.sensed.x.len(), [f32::INFINITY; LANES]);
+        (self.form, self.totals) = (QuadraticForm::default(), Totals::default());
+        for view in 0..self.views.len() {
+            let reference_from_view = self.views[view].reference_from_view;
+            let view_from_sensed = reference_from_view.between(pose);
+            let sums = self.sum(view, &view_from_sensed);
+            self.form += sums.form(&view_from_sensed).seen_from(&reference_from_view);
+            self.totals.add(&sums);
+        }
+        // A ray that several views have surfaces for is no better known than one: its own noise is the same for all.
+        let views_per_ray = (self.totals.pairs / self.sensed.len.max(1) as f64).max(1.0);
+        self.form = self.form.scaled(views_per_ray.recip());
+        self.totals.feigned /= views_per_ray;
+        let mut form = self.form;
+        form += self.prior;
+        form += self.hold(pose);
+        let resting = self.lower_floor();
+        Some(Pairs {
+            form,
+            correspondences: (self.totals.pairs / views_per_ray).round() as u32,
+            inliers: (self.totals.inliers / views_per_ray).round() as u32,
+            mean_residual: self.totals.residuals / self.totals.inliers.max(1.0),
+            fingerprint: None,
+            settled: resting,
+        })
+    }
+
+    fn uncertainty(&mut self, pose: &Pose2, _metric: Metric) -> Uncertainty {
+        let noise = self.totals.squares / self.totals.expected.max(f64::MIN_POSITIVE);
+        let reference_rays: usize = self.views.iter().map(|placed| placed.view.scan().valid_len()).sum();
+        // What the sensed rays that take part add of noise, the reference's have added to the surfaces, all of them.
+        let both = 1.0 + self.sensed.len as f64 / reference_rays.max(1) as f64;
+        let free_direction = self.free_direction(pose);
+        let information = 0.5 * self.form.linearize(pose).1;
+        let mut with_prior = self.form;
+        with_prior += self.prior;
+        let covariance = (0.5 * with_prior.linearize(pose).1).try_inverse().map(|inverse| inverse * noise * both);
+        let open = free_direction.is_some() && self.guess.prior.is_none();
+        Uncertainty {
+            covariance: covariance.filter(|covariance| !open && covariance.iter().all(|v| v.is_finite())),
+            condition_number: if free_direction.is_some() { f64::INFINITY } else { condition_number(&information, self.sensed.mean_range) },
+        }
+    }
+
+    fn agreement(&self) -> Option<Agreement> {
+        let within = |limit: f32| self.distances.iter().flatten().take(self.sensed.len).filter(|&&d| d < limit).count() as u32;
+        Some(Agreement { agreeing: within(AGREEMENT), seen: within(f32::INFINITY) })
+    }
+
+    fn width(&self) -> f64 {
+        self.floor
+    }
+
+    fn set_width(&mut self, width: f64) {
+        self.floor = width;
+    }
+
+    fn score(&self, pose: &Pose2) -> u32 {
+        let Some(placed) = self.views.first() else { return 0 };
+        let (bearings, surfaces) = (placed.view.bearings(), placed.view.surfaces());
+        let view_from_sensed = placed.reference_from_view.between(pose);
+        let (sin, cos) = view_from_sensed.theta.sin_cos();
+        let (sin, cos, tx, ty) = (sin as f32, cos as f32, view_from_sensed.x as f32, view_from_sensed.y as f32);
+        let points = self.sensed.x.iter().flatten().zip(self.sensed.y.iter().flatten()).take(self.sensed.len);
+        let agrees = |(&px, &py): (&f32, &f32)| {
+            let (qx, qy) = (cos * px - sin * py + tx, sin * px + cos * py + ty);
+            let surface = &surfaces[bearings.beam(qx, qy) as usize];
+            let error = surface.normal[0] * qx + surface.normal[1] * qy - surface.offset;
+            error.abs() < ROUGH_AGREEMENT && !surface.is_none()
+        };
+        points.filter(|&point| agrees(point)).count() as u32
+    }
+
+    fn matched_points(&self, pose: &Pose2, points: &mut Vec<(Point, Point)>) {
+        for placed in &self.views {
+            let view_from_sensed = placed.reference_from_view.between(pose).transform();
+            let back = placed.reference_from_view.transform();
+            let (bearings, surfaces) = (placed.view.bearings(), placed.view.surfaces());
+            for point in self.sensed.points() {
+                let seen = view_from_sensed.apply(point);
+                let surface = &surfaces[bearings.beam(seen.x as f32, seen.y as f32) as usize];
+                let normal = Point::new(surface.normal[0].into(), surface.normal[1].into());
+                let error = normal.dot(&seen) - f64::from(surface.offset);
+                if !surface.is_none() && error.abs() < f64::from(AGREEMENT) {
+                    points.push((back.apply(seen), back.apply(seen - normal * error)));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Other starts than the first guess, for when the scans do not agree at what it led to.
+//!
+//! All starts of the window are scored with few rays; the best few are refined. The one that most rays agree with is refined with all
+//! of them, and believed when clearly more agree than before.
+
+use super::pairing::{Agreement, Pairing};
+use super::{FirstGuess, SearchWindow, StopReason};
+use crate::geometry::Pose2;
+
+/// Distance between starts, m ...
+const STEP: f64 = 0.15;
+/// ... and angle, rad.
+const TURN_STEP: f64 = 0.0873;
+/// Starts that are scored in one go.
+const SCORED_AT_ONCE: usize = 64;
+/// Starts that are refined.
+const REFINED: usize = 8;
+/// Part of the rays that must agree more than before.
+const MARGIN: f64 = 0.03;
+
+/// Where tracking from the first guess had come to.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tracked {
+    pub(super) pose: Pose2,
+    /// Of the kernel.
+    pub(super) width: f64,
+    pub(super) agreement: Agreement,
+    pub(super) outcome: StopReason,
+}
+
+/// A search under way; keeps the memory that takes.
+#[derive(Debug, Default)]
+pub(super) struct Search {
+    starts: Vec<Pose2>,
+    scores: Vec<(u32, usize)>,
+    is_scored: bool,
+    best: Option<(Pose2, Agreement)>,
+    tracked: Option<Tracked>,
+}
+
+impl Search {
+    pub(super) fn begin(&mut self, guess: &FirstGuess, tracked: Tracked) {
+        self.tracked = Some(tracked);
+        self.best = None;
+        self.is_scored = false;
+        self.scores.clear();
+        self.starts.clear();
+        let SearchWindow { distance, angle, .. } = guess.window;
+        for turn in offsets(angle, TURN_STEP) {
+            for forward in offsets(distance, STEP) {
+                self.starts.extend(offsets(distance, STEP).map(|left| guess.pose * Pose2::new(forward, left, turn)));
+            }
+        }
+    }
+
+    /// What tracking had come to.
+    pub(super) fn tracked(&self) -> Option<Tracked> {
+        self.tracked
+    }
+
+    /// Scores some more starts; in the end, leaves those that promise most. Answers whether there was anything to do.
+    pub(super) fn score_some(&mut self, pairing: &dyn Pairing) -> bool {
+        if self.is_scored {
+            return false;
+        }
+        let done = self.scores.len();
+        let next = self.starts[done..].iter().take(SCORED_AT_ONCE).enumerate();
+        self.scores.extend(next.map(|(i, start)| (pairing.score(start), done + i)));
+        if self.scores.len() == self.starts.len() {
+            self.is_scored = true;
+            self.keep_best();
+        }
+        true
+    }
+
+    fn keep_best(&mut self) {
+        self.scores.sort_unstable_by(|a, b| b.cmp(a));
+        self.scores.truncate(REFINED);
+        self.scores.sort_unstable_by_key(|&(_, i)| i);
+        for (place, &(_, i)) in self.scores.iter().enumerate() {
+            self.starts.swap(place, i);
+        }
+        self.starts.truncate(self.scores.len());
+    }
+
+    /// The next start to be refined.
+    pub(super) fn next_start(&mut self) -> Option<Pose2> {
+        self.starts.pop()
+    }
+
+    /// What the refinement of a start has come to.
+    pub(super) fn consider(&mut self, pose: Pose2, agreement: Agreement) {
+        if self.best.is_none_or(|(_, best)| agreement.agreeing > best.agreeing) {
+            self.best = Some((pose, agreement));
+        }
+    }
+
+    /// The pose found, if clearly more of so many rays agree with it than with what they did `before`.
+    pub(super) fn found(&self, before: Agreement, rays: usize) -> Option<Pose2> {
+        self.best.filter(|(_, agreement)| is_better(*agreement, before, rays)).map(|(pose, _)| pose)
+    }
+}
+
+/// Whether clearly more of so many rays agree.
+pub(super) fn is_better(agreement: Agreement, before: Agreement, rays: usize) -> bool {
+    f64::from(agreement.agreeing) > f64::from(before.agreeing) + MARGIN * rays as f64
+}
+
+/// From `-limit` to `limit`, evenly, by `step` at most.
+fn offsets(limit: f64, step: f64) -> impl Iterator<Item = f64> {
+    #[allow(clippy::cast_possible_truncation)] // some dozens
+    let steps = (limit / step).ceil() as i32;
+    (-steps..=steps).map(move |i| if steps == 0 { 0.0 } else { limit * f64::from(i) / f64::from(steps) })
+}
