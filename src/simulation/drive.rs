@@ -103,8 +103,8 @@ pub fn simulate<E>(
             Due::Odometry(k) => SimulatedMessage::Odometry(odometer.read(motion.pose_at(odometry_time(k)), time)),
             Due::Truth(k) => SimulatedMessage::Truth { stamp: time, map_from_base: motion.pose_at(scan_time(k)) },
             Due::Scan(k) => {
-                let stamp = START.offset_by(scan_time(k));
-                SimulatedMessage::Scan(lidar.scan(scene.world.as_ref(), &motion, scan_time(k), stamp))
+                let map_from_base = |seconds| motion.pose_at(scan_time(k) + seconds);
+                SimulatedMessage::Scan(lidar.scan(scene.world.as_ref(), map_from_base, START.offset_by(scan_time(k))))
             }
         };
         record(time, message)?;
