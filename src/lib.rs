@@ -29,7 +29,7 @@
 //! | [`evaluation`] | ATE, RPE, relations, plots |
 //! | [`anytime`] | contracts, clocks, and refining until the contract ends |
 //! | [`odometry`] | predict, match, keep the keyframe: one scan to one pose |
-//! | [`io`] | bags, trajectories, relations, maps |
+//! | [`io`] | bags, CARMEN logs, trajectories, relations, maps |
 //! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |
 //! | [`app`] | messages in, estimates out |
 //! | [`replay`], `ros` | a bag, or a live graph, through the application |

@@ -15,13 +15,16 @@ use anytime_scan_matcher::messages::encode;
 use anytime_scan_matcher::messages::geometry_msgs::Pose;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
-use anytime_scan_matcher::scan::ScanConverter;
+use anytime_scan_matcher::scan::{BeamGeometry, ScanConverter};
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{START, Settings, SimulatedMessage, simulate, truth_message};
 use anytime_scan_matcher::simulation::grid::{Cell, GridWorld, OccupancyGrid};
+use anytime_scan_matcher::simulation::information::{bound_of_pair, of_scan};
 use anytime_scan_matcher::simulation::lidar::{Lidar, LidarKnobs};
 use anytime_scan_matcher::simulation::motion::Motion;
 use anytime_scan_matcher::simulation::odometer::{Odometer, OdometerKnobs};
+use anytime_scan_matcher::simulation::pairs::Pairs;
+use anytime_scan_matcher::simulation::random_world::RandomWorld;
 use anytime_scan_matcher::simulation::route::Route;
 use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::simulation::shapes::Shapes;
@@ -172,7 +175,8 @@ fn corridor() -> Scene {
 
 fn scan_with(knobs: &LidarKnobs, seconds: f64) -> LaserScan {
     let scene = corridor();
-    Lidar::new(knobs, Pcg64::seed_from_u64(5)).scan(scene.world.as_ref(), &motion(&scene), seconds, START)
+    let motion = motion(&scene);
+    Lidar::new(knobs, Pcg64::seed_from_u64(5)).scan(scene.world.as_ref(), |after| motion.pose_at(seconds + after), START)
 }
 
 #[test]
@@ -548,4 +552,56 @@ fn an_empty_hall_is_driven_in_circles() {
     let scene = Scene::in_map(hall, 1).unwrap();
     let poses = checked_drive(&scene.route, &VehicleKnobs::default(), 30.0);
     assert!(least_clearance(scene.world.as_ref(), &poses) > 0.3 && path_length(&poses) > 30.0);
+}
+
+// ---- pairs of scans ----
+
+/// Here the least covariance is known by hand: n beams at a wall square to them tell its distance to noise / sqrt(n), and a pair of
+/// scans twice that variance.
+#[test]
+fn the_bound_is_that_of_closed_forms() {
+    let (noise, beams) = (0.01, 101_u8);
+    let room = Shapes::default().block(&Pose2::IDENTITY.transform(), 10.0, 8.0);
+    let all_round = BeamGeometry::new(0.0, 2.0 * PI / f64::from(beams), beams.into());
+    let circle = Shapes::default().pillar(Point::zeros(), 4.0);
+    let of_circle = of_scan(&circle, &Pose2::IDENTITY, &all_round, noise, 30.0);
+    let expected = 0.5 * f64::from(beams) / (noise * noise);
+    assert!((of_circle.m11 / expected - 1.0).abs() < 1e-6 && (of_circle.m22 / expected - 1.0).abs() < 1e-6, "{of_circle}");
+    assert!(of_circle.m33 < 1e-9 * expected, "a circle tells nothing of the heading: {of_circle}");
+    assert_eq!(bound_of_pair(&of_circle), None);
+
+    // Finite differences of the ranges themselves, seen from somewhere in a room.
+    let at = Pose2::new(1.3, -0.7, 0.4);
+    let range = |pose: Pose2, beam: Point| room.range(pose.translation(), pose.transform().rotate(beam), 30.0).unwrap();
+    let step = 1e-5;
+    let derivative = |beam: Point| {
+        let change = |dx: f64, dy: f64, turn: f64| {
+            let moved = |sign: f64| range(Pose2::new(at.x + sign * dx, at.y + sign * dy, at.theta + sign * turn), beam);
+            (moved(1.0) - moved(-1.0)) / (2.0 * step)
+        };
+        Vector3::new(change(step, 0.0, 0.0), change(0.0, step, 0.0), change(0.0, 0.0, step))
+    };
+    let sum: Matrix3<f64> = all_round.directions().iter().map(|&beam| derivative(beam)).map(|d| d * d.transpose()).sum();
+    let information = of_scan(&room, &at, &all_round, noise, 30.0);
+    assert!((information * noise * noise - sum).norm() < 1e-4 * sum.norm(), "{information} {sum}");
+    let bound = bound_of_pair(&information).unwrap();
+    assert!((bound * information - Matrix3::identity() * 2.0).norm() < 1e-6);
+}
+
+#[test]
+fn pairs_are_those_of_their_seed_and_their_truth() {
+    let drawn = |seed| Pairs::new(RandomWorld::Room, 181, seed).take(20).collect::<Vec<_>>();
+    assert_eq!(format!("{:?}", drawn(3)), format!("{:?}", drawn(3)));
+    assert_ne!(format!("{:?}", drawn(3)), format!("{:?}", drawn(4)));
+    for kind in RandomWorld::ALL {
+        for pair in Pairs::new(*kind, 361, 1).take(20) {
+            let motion = pair.reference_from_sensed;
+            assert!(motion.distance() <= 0.2 && motion.theta.abs().to_degrees() < 6.0, "{motion:?}");
+            let off = motion.between(&pair.first_guess);
+            assert!(off.distance() < 0.06 && off.theta.abs().to_degrees() < 3.0, "{off:?}");
+            let nearest = pair.reference.ranges().iter().copied().fold(f64::INFINITY, f64::min);
+            assert!(nearest > 0.3, "{}: a wall at {nearest} m", kind.name());
+            assert_eq!(bound_of_pair(&pair.information).is_none(), *kind == RandomWorld::FeaturelessCorridor);
+        }
+    }
 }

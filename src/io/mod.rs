@@ -1,6 +1,7 @@
-//! Files: bags, trajectories, relations, maps.
+//! Files: bags, CARMEN logs, trajectories, relations, maps.
 
 pub mod bag;
+pub mod carmen;
 pub mod contract_schedule;
 pub mod cost_file;
 pub mod map_file;

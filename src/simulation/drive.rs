@@ -99,12 +99,12 @@ pub fn simulate<E>(
 
     for (time, due) in agenda {
         let message = match due {
-            Due::Mount => SimulatedMessage::Mount(mount(settings.lidar.laser_in_base)),
+            Due::Mount => SimulatedMessage::Mount(mount_message(START, settings.lidar.laser_in_base)),
             Due::Odometry(k) => SimulatedMessage::Odometry(odometer.read(motion.pose_at(odometry_time(k)), time)),
             Due::Truth(k) => SimulatedMessage::Truth { stamp: time, map_from_base: motion.pose_at(scan_time(k)) },
             Due::Scan(k) => {
-                let stamp = START.offset_by(scan_time(k));
-                SimulatedMessage::Scan(lidar.scan(scene.world.as_ref(), &motion, scan_time(k), stamp))
+                let map_from_base = |seconds| motion.pose_at(scan_time(k) + seconds);
+                SimulatedMessage::Scan(lidar.scan(scene.world.as_ref(), map_from_base, START.offset_by(scan_time(k))))
             }
         };
         record(time, message)?;
@@ -117,8 +117,9 @@ fn times_until(duration: Seconds, time: impl Fn(u32) -> f64) -> impl Iterator<It
     (0..).map(move |k| (k, time(k))).take_while(move |(_, time)| *time < duration.0)
 }
 
-fn mount(laser_in_base: Pose2) -> TFMessage {
-    let header = Header { stamp: START.into(), frame_id: BASE_FRAME.into(), ..Header::default() };
+/// Where the laser sits as a message.
+pub fn mount_message(stamp: Stamp, laser_in_base: Pose2) -> TFMessage {
+    let header = Header { stamp: stamp.into(), frame_id: BASE_FRAME.into(), ..Header::default() };
     let transform = laser_in_base.into();
     TFMessage { transforms: vec![TransformStamped { header, child_frame_id: LASER_FRAME.into(), transform }] }
 }

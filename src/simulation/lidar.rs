@@ -11,7 +11,6 @@ use crate::messages::std_msgs::Header;
 use crate::scan::BeamGeometry;
 use crate::time::Stamp;
 
-use super::motion::Motion;
 use super::world::World;
 
 knobs! {
@@ -85,10 +84,10 @@ impl<'a> Lidar<'a> {
         ray as f64 * f64::from(self.template.time_increment)
     }
 
-    /// The scan whose first ray leaves `seconds` after the start of the drive; it is stamped `stamp`.
-    pub fn scan(&mut self, world: &dyn World, motion: &Motion, seconds: f64, stamp: Stamp) -> LaserScan {
+    /// A scan stamped `stamp`, the time of its first ray. `map_from_base` is where the car is so many seconds after that.
+    pub fn scan(&mut self, world: &dyn World, map_from_base: impl Fn(f64) -> Pose2, stamp: Stamp) -> LaserScan {
         let distance = |(ray, &direction): (usize, &Point)| {
-            let laser = motion.pose_at(seconds + self.ray_time(ray)) * self.knobs.laser_in_base;
+            let laser = map_from_base(self.ray_time(ray)) * self.knobs.laser_in_base;
             world.range(laser.translation(), laser.transform().rotate(direction), self.knobs.range_max)
         };
         let distances: Vec<Option<f64>> = self.beams.directions().iter().enumerate().map(distance).collect();

@@ -3,16 +3,22 @@
 //! [`drive::simulate`] puts them together: a [`scene`] gives the walls and the route through them, a [`driver`] steers the
 //! [`vehicle`] along the route into a [`motion`], and the [`lidar`] and the [`odometer`] measure that motion. The same seed makes
 //! the same messages, bit for bit.
+//!
+//! For the study of one match at a time, [`pairs`] takes two scans close together in a [`random_world`], and [`information`] says
+//! how well any matcher could do there.
 
 pub mod built_in;
 pub mod distance;
 pub mod drive;
 pub mod driver;
 pub mod grid;
+pub mod information;
 pub mod lidar;
 pub mod motion;
 pub mod odometer;
+pub mod pairs;
 pub mod planner;
+pub mod random_world;
 pub mod route;
 pub mod scene;
 pub mod shapes;

@@ -2,6 +2,7 @@
 #![allow(clippy::print_stderr)] // a program speaks to its user
 
 mod configuration;
+mod convert;
 mod evaluate;
 mod info;
 mod input_flags;
@@ -34,6 +35,7 @@ enum Command {
     Info(info::Arguments),
     Simulate(simulate::Arguments),
     Evaluate(evaluate::Arguments),
+    Convert(convert::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -43,6 +45,7 @@ fn main() -> ExitCode {
         Command::Info(arguments) => info::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Convert(arguments) => convert::run(&arguments),
     };
     match outcome {
         Ok(text) => print(&text),

@@ -1,0 +1,58 @@
+//! `anytime convert`.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+use anytime_scan_matcher::io::bag::{BagWriter, Compression};
+use anytime_scan_matcher::io::carmen::{CarmenLog, Mended, Mount, record};
+use anytime_scan_matcher::knobs::KnobValue;
+use clap::Args;
+
+/// Turn a CARMEN log into a bag
+#[derive(Args)]
+pub(crate) struct Arguments {
+    /// The log: lines of FLASER or ROBOTLASER1, and ODOM; packed with bzip2 or not
+    #[arg(value_name = "IN.clf")]
+    log: PathBuf,
+    /// The bag to write, with scans, odometry, and where the laser sits
+    #[arg(value_name = "OUT.bag")]
+    out: PathBuf,
+    /// Angle from the first beam of FLASER lines to the last, which they do not tell; unset: 180 for an odd number of beams, a beam less for an even one [deg]
+    #[arg(long, value_name = "DEG", value_parser = field_of_view)]
+    fov: Option<f64>,
+    /// How the chunks of the bag are packed: none, bz2 or lz4
+    #[arg(long, default_value = "lz4", value_parser = |text: &str| Compression::from_value(&text.into()))]
+    compression: Compression,
+}
+
+fn field_of_view(text: &str) -> Result<f64, String> {
+    let degrees = text.trim_end_matches("deg").trim().parse::<f64>().ok().filter(|degrees| (1.0..=360.0).contains(degrees));
+    degrees.map(f64::to_radians).ok_or_else(|| "expected 1 to 360 degrees".into())
+}
+
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
+    let Arguments { log: path, out, fov, compression } = arguments;
+    let log = CarmenLog::read(path, *fov)?;
+    record::record(&log, BagWriter::create(out, *compression)?)?;
+    let mut text = format!("{}: {} scans", out.display(), log.scans.len());
+    if log.mended.count > 0 {
+        let Mended { count, most } = log.mended;
+        write!(text, "\n{count} stamps mended, by {most:.3} s at most: the lines are in order, the clock was not")?;
+    }
+    let where_from = match log.mount() {
+        Mount::Scans(_) => None,
+        Mount::Parameter(pose) => Some(format!("{} m ahead of base_link, as PARAM says", pose.x)),
+        Mount::Unknown => Some("taken to be at base_link".into()),
+    };
+    if let Some(where_from) = where_from {
+        write!(text, "\nlaser {where_from}: its poses in the scans are no fixed place on the robot")?;
+    }
+    if let Some((line, problem)) = log.damaged.first() {
+        write!(text, "\n{} damaged lines left out; the first: {}:{line}: {problem}", log.damaged.len(), path.display())?;
+    }
+    let passed_over: Vec<String> = log.passed_over.iter().map(|(kind, count)| format!("{count} {kind}")).collect();
+    if !passed_over.is_empty() {
+        write!(text, "\nlines without use for a bag: {}", passed_over.join(", "))?;
+    }
+    Ok(text)
+}

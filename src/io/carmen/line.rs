@@ -1,0 +1,160 @@
+//! One line of a CARMEN log.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use super::{CarmenOdometry, CarmenScan};
+use crate::geometry::Pose2;
+use crate::io::text;
+use crate::scan::MAX_BEAMS;
+use crate::time::Stamp;
+
+/// Longest word taken for the name of a message.
+const LONGEST_NAME: usize = 40;
+/// A clock that counts from the start of the log begins at 0, which a bag cannot hold.
+const FIRST_TIME: Stamp = Stamp::from_nanoseconds(1);
+
+/// What a line says.
+pub(super) enum Line {
+    /// Blank, or a comment.
+    Nothing,
+    /// `FLASER`.
+    FrontLaser(CarmenScan),
+    /// `ROBOTLASER1`.
+    RobotLaser(CarmenScan),
+    /// `ODOM`.
+    Odometry(CarmenOdometry),
+    /// `PARAM robot_frontlaser_offset`, m.
+    FrontLaserOffset(f64),
+    /// Another message; its name.
+    Other(String),
+}
+
+/// The columns of a line, taken from the left.
+struct Columns<'a> {
+    words: std::str::SplitWhitespace<'a>,
+}
+
+impl<'a> Columns<'a> {
+    fn word(&mut self, name: &str) -> Result<&'a str, String> {
+        self.words.next().ok_or_else(|| format!("the line ends before {name} (cut off? remove it, or complete it)"))
+    }
+
+    fn numbers<const N: usize>(&mut self, names: [&str; N]) -> Result<[f64; N], String> {
+        let mut words = [""; N];
+        for (word, name) in words.iter_mut().zip(names) {
+            *word = self.word(name)?;
+        }
+        text::numbers(names, &words)
+    }
+
+    fn pose(&mut self, names: [&str; 3]) -> Result<Pose2, String> {
+        self.numbers(names).map(|[x, y, theta]| Pose2::new(x, y, theta))
+    }
+
+    fn count(&mut self, name: &str) -> Result<usize, String> {
+        let word = self.word(name)?;
+        let count = word.parse().ok().filter(|count| *count <= MAX_BEAMS);
+        count.ok_or_else(|| format!("{name} is `{word}`: expected a whole number up to {MAX_BEAMS}"))
+    }
+
+    /// Readings need not be finite: that is a way to say "nothing seen".
+    fn ranges(&mut self, count: usize) -> Result<Vec<f32>, String> {
+        (0..count)
+            .map(|_| {
+                let word = self.word("the last of its ranges")?;
+                word.parse().map_err(|_| format!("a range is `{word}`: expected a number (remove the line, or repair it)"))
+            })
+            .collect()
+    }
+
+    /// `ipc_timestamp ipc_hostname logger_timestamp`, the last two of which some logs lack. Where the first is 0 the last counts.
+    fn stamp(&mut self) -> Result<Stamp, String> {
+        let sent = text::stamp(self.word("ipc_timestamp")?)?;
+        let logged = self.words.nth(1).map(text::stamp).transpose();
+        let stamp = if sent == Stamp::default() { logged?.unwrap_or(sent) } else { sent };
+        if stamp < Stamp::default() || stamp > Stamp::from_ros(u32::MAX, 0) {
+            return Err(format!("the stamp is {stamp}: expected seconds since 1970, or since the start of the log"));
+        }
+        Ok(stamp.max(FIRST_TIME))
+    }
+}
+
+/// Reads a line; the error says what is wrong with it.
+pub(super) fn parse(line: &str, field_of_view: Option<f64>) -> Result<Line, String> {
+    let mut columns = Columns { words: line.split_whitespace() };
+    match columns.words.next() {
+        None => Ok(Line::Nothing),
+        Some(word) if word.starts_with('#') => Ok(Line::Nothing),
+        Some("FLASER") => front_laser(&mut columns, field_of_view).map(Line::FrontLaser),
+        Some("ROBOTLASER1") => robot_laser(&mut columns).map(Line::RobotLaser),
+        Some("ODOM") => odometry(&mut columns).map(Line::Odometry),
+        Some("PARAM") => parameter(&mut columns),
+        Some(word) if is_name(word) => Ok(Line::Other(word.into())),
+        Some(word) => {
+            let shown: String = word.chars().take(LONGEST_NAME).collect();
+            Err(format!(
+                "`{shown}` begins no line of a CARMEN log: expected FLASER, ROBOTLASER1, ODOM, or another name in capitals"
+            ))
+        }
+    }
+}
+
+fn is_name(word: &str) -> bool {
+    let of_a_name = |byte: u8| byte.is_ascii_uppercase() || byte.is_ascii_digit() || b"-_".contains(&byte);
+    word.len() <= LONGEST_NAME && word.starts_with(|first: char| first.is_ascii_uppercase()) && word.bytes().all(of_a_name)
+}
+
+/// `FLASER n [ranges] x y theta odom_x odom_y odom_theta ipc_timestamp ...`
+fn front_laser(columns: &mut Columns, field_of_view: Option<f64>) -> Result<CarmenScan, String> {
+    let beams = columns.count("num_readings")?;
+    let ranges = columns.ranges(beams)?;
+    let odom_from_laser = columns.pose(["x", "y", "theta"])?;
+    let odom_from_base = columns.pose(["odom_x", "odom_y", "odom_theta"])?;
+    let odometry = CarmenOdometry { stamp: columns.stamp()?, odom_from_base, velocity: None };
+    let steps = beams.saturating_sub(1).max(1) as f64;
+    let (angle_min, angle_increment) = match field_of_view {
+        Some(view) => (-0.5 * view, view / steps),
+        // 181 beams go from -90 to 90 degrees; of 180 the last is missing.
+        None => (-FRAC_PI_2, PI / if beams % 2 == 1 { steps } else { steps + 1.0 }),
+    };
+    Ok(CarmenScan { odometry, odom_from_laser, angle_min, angle_increment, nothing_seen: None, ranges })
+}
+
+/// `ROBOTLASER1 laser_type start_angle field_of_view angular_resolution maximum_range accuracy remission_mode n [ranges]
+/// m [remissions] laser_x laser_y laser_theta robot_x robot_y robot_theta tv rv forward_safety side_safety turn_axis
+/// ipc_timestamp ...`
+fn robot_laser(columns: &mut Columns) -> Result<CarmenScan, String> {
+    let [_, angle_min, _, angle_increment, nothing_seen, _, _] = columns.numbers([
+        "laser_type",
+        "start_angle",
+        "field_of_view",
+        "angular_resolution",
+        "maximum_range",
+        "accuracy",
+        "remission_mode",
+    ])?;
+    let beams = columns.count("num_readings")?;
+    let ranges = columns.ranges(beams)?;
+    let remissions = columns.count("num_remissions")?;
+    columns.ranges(remissions)?;
+    let odom_from_laser = columns.pose(["laser_pose_x", "laser_pose_y", "laser_pose_theta"])?;
+    let odom_from_base = columns.pose(["robot_pose_x", "robot_pose_y", "robot_pose_theta"])?;
+    let [tv, rv, ..] = columns.numbers(["laser_tv", "laser_rv", "forward_safety_dist", "side_safety_dist", "turn_axis"])?;
+    let odometry = CarmenOdometry { stamp: columns.stamp()?, odom_from_base, velocity: Some((tv, rv)) };
+    let nothing_seen = Some(nothing_seen).filter(|range| *range > 0.0);
+    Ok(CarmenScan { odometry, odom_from_laser, angle_min, angle_increment, nothing_seen, ranges })
+}
+
+/// `ODOM x y theta tv rv accel ipc_timestamp ...`
+fn odometry(columns: &mut Columns) -> Result<CarmenOdometry, String> {
+    let [x, y, theta, tv, rv, _] = columns.numbers(["x", "y", "theta", "tv", "rv", "accel"])?;
+    Ok(CarmenOdometry { stamp: columns.stamp()?, odom_from_base: Pose2::new(x, y, theta), velocity: Some((tv, rv)) })
+}
+
+/// `PARAM name value ...`
+fn parameter(columns: &mut Columns) -> Result<Line, String> {
+    if columns.words.next() != Some("robot_frontlaser_offset") {
+        return Ok(Line::Other("PARAM".into()));
+    }
+    columns.numbers(["robot_frontlaser_offset"]).map(|[offset]| Line::FrontLaserOffset(offset))
+}

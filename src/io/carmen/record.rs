@@ -1,0 +1,87 @@
+//! A CARMEN log as a bag: `/scan`, `/odom`, and where the laser sits on `/tf_static`.
+
+use super::{CarmenLog, CarmenOdometry, CarmenScan};
+use crate::geometry::Pose2;
+use crate::io::bag::{BagError, BagWriter};
+use crate::messages::geometry_msgs::{PoseWithCovariance, Twist, TwistWithCovariance, Vector3};
+use crate::messages::nav_msgs::Odometry;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::std_msgs::Header;
+use crate::simulation::drive::mount_message;
+use crate::simulation::lidar::LASER_FRAME;
+use crate::simulation::odometer::{BASE_FRAME, ODOM_FRAME};
+use crate::time::Stamp;
+
+/// Nearest distance taken for one, m: logs have 0 for "no reading".
+const RANGE_MIN: f32 = 0.1;
+
+/// Writes the log. Odometry is what the scan lines carry, at their stamps: the robot's own pairing of the two. Logs whose scan lines
+/// carry none have that of the `ODOM` lines.
+pub fn record(log: &CarmenLog, mut bag: BagWriter) -> Result<(), BagError> {
+    let odometry = of_log(log);
+    let (limit, scan_time) = (log.nothing_seen(), median_spacing(log));
+    let mut agenda: Vec<(Stamp, Due)> = log.scans.iter().map(|scan| (scan.odometry.stamp, Due::Scan(scan))).collect();
+    agenda.extend(odometry.iter().map(|odometry| (odometry.stamp, Due::Odometry(odometry))));
+    agenda.sort_by_key(|(stamp, due)| (*stamp, matches!(due, Due::Scan(_))));
+    if let Some((start, _)) = agenda.first() {
+        bag.write_latched("/tf_static", *start, &mount_message(*start, log.mount().laser_in_base()))?;
+    }
+    for (stamp, due) in &agenda {
+        match due {
+            Due::Odometry(odometry) => bag.write("/odom", *stamp, &odometry_message(odometry))?,
+            Due::Scan(scan) => bag.write("/scan", *stamp, &scan_message(scan, limit, scan_time))?,
+        }
+    }
+    bag.finish()
+}
+
+enum Due<'a> {
+    Odometry(&'a CarmenOdometry),
+    Scan(&'a CarmenScan),
+}
+
+fn of_log(log: &CarmenLog) -> Vec<CarmenOdometry> {
+    let of_scans: Vec<CarmenOdometry> = log.scans.iter().map(|scan| scan.odometry).collect();
+    let stands_still =
+        |odometry: &[CarmenOdometry]| odometry.windows(2).all(|two| two[0].odom_from_base == two[1].odom_from_base);
+    if stands_still(&of_scans) && !stands_still(&log.odometry) { log.odometry.clone() } else { of_scans }
+}
+
+fn median_spacing(log: &CarmenLog) -> f64 {
+    let stamp = |scan: &CarmenScan| scan.odometry.stamp;
+    let mut spacings: Vec<f64> = log.scans.windows(2).map(|two| stamp(&two[1]).seconds_since(stamp(&two[0]))).collect();
+    crate::quantile::quantile(&mut spacings, 0.5, f64::total_cmp).unwrap_or(0.0)
+}
+
+#[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
+fn scan_message(scan: &CarmenScan, limit: f64, scan_time: f64) -> LaserScan {
+    let (angle_min, angle_increment) = (scan.angle_min as f32, scan.angle_increment as f32);
+    LaserScan {
+        header: header(scan.odometry.stamp, LASER_FRAME),
+        angle_min,
+        angle_max: (scan.angle_min + scan.angle_increment * scan.ranges.len().saturating_sub(1) as f64) as f32,
+        angle_increment,
+        scan_time: scan_time as f32,
+        range_min: RANGE_MIN,
+        // Readings at the limit saw nothing.
+        range_max: (scan.nothing_seen.unwrap_or(limit) as f32).next_down(),
+        ranges: scan.ranges.clone(),
+        ..LaserScan::default()
+    }
+}
+
+fn odometry_message(odometry: &CarmenOdometry) -> Odometry {
+    let (speed, yaw_rate) = odometry.velocity.unwrap_or_default();
+    let along = |x| Vector3 { x, ..Vector3::default() };
+    let twist = Twist { linear: along(speed), angular: Vector3 { z: yaw_rate, ..Vector3::default() } };
+    Odometry {
+        header: header(odometry.stamp, ODOM_FRAME),
+        child_frame_id: BASE_FRAME.into(),
+        pose: PoseWithCovariance { pose: Pose2::into(odometry.odom_from_base), ..PoseWithCovariance::default() },
+        twist: TwistWithCovariance { twist, ..TwistWithCovariance::default() },
+    }
+}
+
+fn header(stamp: Stamp, frame: &str) -> Header {
+    Header { stamp: stamp.into(), frame_id: frame.into(), ..Header::default() }
+}
