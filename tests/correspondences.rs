@@ -50,9 +50,9 @@ fn check(reference_scan: &Scan, sensed: &Scan, motions: [Pose2; 2], max_distance
     reference.set(reference_scan);
     let mut compared = 0;
     for &kind in Correspondence::ALL {
-        let mut search = kind.search();
+        let Some(mut search) = kind.search() else { continue };
         search.prepare(&reference);
-        let mut oracle = Correspondence::Naive.search();
+        let mut oracle = Correspondence::Naive.search().unwrap();
         oracle.prepare(&reference);
         let mut found = vec![Nearest::NONE; sensed.valid_len()];
         for motion in motions {

@@ -4,6 +4,7 @@
 mod common;
 
 use anytime_scan_matcher::geometry::{Pose2, PoseCovariance};
+use anytime_scan_matcher::matching::correspondence::Correspondence;
 use anytime_scan_matcher::matching::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::solver::SolverKind;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
@@ -17,6 +18,7 @@ const NOISE: f64 = 0.01;
 
 fn matcher(solver: SolverKind) -> Matcher {
     let knobs = MatchingKnobs {
+        correspondence: Correspondence::JumpTable,
         solver,
         epsilon_translation: 1e-9,
         epsilon_rotation: 1e-9,

@@ -14,13 +14,15 @@ use crate::matching::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, Prior, Refinement, SearchWindow, StopReason};
 use crate::scan::Scan;
 use crate::time::Stamp;
-use local_map::{Keyframe, LocalMap};
+use local_map::{Keyframe, LocalMap, Placement};
 use wheel::{WheelEvent, WheelOdometry, WheelSample};
 
 /// Stamps that go back farther than this start a new run (a bag played in a loop); less is a scan out of order, s.
 const NEW_RUN: f64 = 1.0;
 /// A constant velocity predicts over gaps up to this, s.
 const MAX_PREDICTION_GAP: f64 = 1.0;
+/// To either side of a predicted turn so much of it is searched.
+const SEARCHED_PART_OF_TURN: f64 = 1.2;
 
 crate::choices! {
     /// The scan that is matched to.
@@ -37,14 +39,12 @@ crate::choices! {
 crate::knobs! {
     /// From matches to a trajectory.
     pub struct OdometryKnobs {
-        /// What a scan is matched to: the scan before, or the last keyframe.
+        /// What a scan is matched to: the scan before, the last keyframe, or the keyframes around.
         reference: ReferenceChoice = ReferenceChoice::LocalMap;
-        /// Keyframes that a scan is matched to at once, of those around.
+        /// Keyframes that a scan is matched to at once, of those around; where it is matched to nearest points, to the first of them alone.
         views: u32 = 3, in 1 to 20;
-        /// Keyframes kept at most: what bounds the memory of the map.
-        max_keyframes: u32 = 2000, in 1 to 100000;
-        /// reach
-        reach: f64 = 3.0, in 0 to 100;
+        /// Keyframes of the local map at most; beyond, the oldest go. One takes 30 bytes per beam.
+        max_keyframes: u32 = 1000, in 1 to 100000;
         /// A new keyframe after this way.
         keyframe_distance: f64 = 0.4, in 0 to 100, unit "m";
         /// A new keyframe after this turn.
@@ -156,18 +156,12 @@ pub struct OdometryCounters {
     pub without_odometry: u64,
 }
 
-/// The place of the reference frame: the laser's at the first of the keyframes that scans are matched to.
-#[derive(Clone, Copy, Debug)]
-struct Anchor {
-    odom_from_laser: Pose2,
-    covariance: PoseCovariance,
-}
-
 /// The last answer.
 #[derive(Clone, Copy, Debug)]
 struct Last {
     stamp: Stamp,
     odom_from_base: Pose2,
+    odom_from_laser: Pose2,
     covariance: PoseCovariance,
     twist: Twist2,
 }
@@ -181,12 +175,11 @@ pub struct LaserOdometry {
     waited_in_vain: bool,
     map: LocalMap,
     views: Vec<PlacedView>,
-    keyframe: Option<Anchor>,
-    upcoming_keyframe: Option<(Scan, Anchor)>,
+    keyframe: Option<Placement>,
+    upcoming_keyframe: Option<(Scan, Placement)>,
     /// The last scan, when its answer was given before its match was done, and the pose (in the keyframe) that it had come to.
     unfinished: Option<(Scan, Attempt, Pose2)>,
     last: Option<Last>,
-    base_from_laser: Pose2,
     start: Pose2,
     counters: OdometryCounters,
     keep_matched_points: bool,
@@ -208,7 +201,6 @@ impl LaserOdometry {
             upcoming_keyframe: None,
             unfinished: None,
             last: None,
-            base_from_laser: Pose2::IDENTITY,
             start: knobs.initial_pose,
             counters: OdometryCounters::default(),
             keep_matched_points: false,
@@ -282,8 +274,8 @@ impl LaserOdometry {
             return answer;
         }
         let Some(last) = self.last else { return self.answer_first(scan, base_from_laser) };
-        let motion = self.predicted_motion(&last, scan.stamp());
-        let attempt = Attempt { last, motion, base_from_laser: *base_from_laser };
+        let prediction = self.predict(&last, scan.stamp());
+        let attempt = Attempt { last, prediction, base_from_laser: *base_from_laser };
         let Some(keyframe) = self.keyframe else {
             return self.answer_predicted(scan, &attempt, None, "no reference scan".into(), true);
         };
@@ -325,12 +317,8 @@ impl LaserOdometry {
     }
 
     /// Matches a scan to the keyframe, from `start` on.
-    fn match_to(&mut self, keyframe: &Anchor, scan: &Scan, attempt: &Attempt, start: Pose2, driver: &mut Driver) -> Found {
-        let guess = FirstGuess { pose: start, prior: Some(attempt.prior(keyframe)), window: SearchWindow {
-            distance: 0.3,
-            angle: (1.2 * attempt.motion.theta.abs()).max(0.35),
-            always: attempt.motion.theta.abs() > 0.35,
-        } };
+    fn match_to(&mut self, keyframe: &Placement, scan: &Scan, attempt: &Attempt, start: Pose2, driver: &mut Driver) -> Found {
+        let guess = FirstGuess { pose: start, prior: Some(attempt.prior(keyframe)), window: attempt.window() };
         let mut refinement = self.matcher.begin(scan, guess);
         let stop_reason = driver.drive(&mut refinement);
         self.iterations.clear();
@@ -349,7 +337,7 @@ impl LaserOdometry {
             return Found { report, keyframe_from_laser, answer: Err(problem) };
         }
         // Where the scans leave a direction open, what is known of it is the prediction.
-        let prediction_covariance = uncertainty::of_prediction(&attempt.motion);
+        let prediction_covariance = attempt.prediction.covariance;
         let match_covariance = match_covariance.unwrap_or(prediction_covariance);
         let laser_covariance =
             uncertainty::compound(&keyframe.odom_from_laser, &keyframe.covariance, &keyframe_from_laser, &match_covariance);
@@ -369,20 +357,21 @@ impl LaserOdometry {
     /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register`] does it otherwise.
     pub fn maintain(&mut self) {
         self.unfinished = None;
-        if let Some((scan, anchor)) = self.upcoming_keyframe.take() {
-            let view = self.matcher.view(&scan);
-            let Anchor { odom_from_laser, covariance } = anchor;
-            let most = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.max_keyframes as usize } else { 1 };
-            self.map.add(Keyframe { odom_from_laser, covariance, view }, most);
-        } else if self.knobs.reference != ReferenceChoice::LocalMap || self.map.is_empty() {
+        let takes_turns = self.knobs.reference == ReferenceChoice::LocalMap && !self.map.is_empty();
+        if let Some((scan, place)) = self.upcoming_keyframe.take() {
+            let most = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.max_keyframes } else { 1 };
+            self.map.add(Keyframe { place, view: self.matcher.view(&scan) }, most as usize);
+        } else if !takes_turns || self.keyframe.is_none() {
             return;
         }
+        self.choose_views();
+    }
+
+    /// The next scan is matched to the keyframes around the last one.
+    fn choose_views(&mut self) {
         let Some(last) = self.last else { return };
-        let around = last.odom_from_base * self.base_from_laser;
-        let count = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.views as usize } else { 1 };
-        local_map::placed(self.map.around(&around, count, self.knobs.reach), &mut self.views);
-        let anchor = self.map.around(&around, 1, self.knobs.reach).next();
-        self.keyframe = anchor.map(|k| Anchor { odom_from_laser: k.odom_from_laser, covariance: k.covariance });
+        let count = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.views } else { 1 };
+        self.keyframe = self.map.views_around(&last.odom_from_laser, count as usize, &mut self.views);
         self.matcher.set_views(&self.views);
     }
 
@@ -452,15 +441,14 @@ impl LaserOdometry {
         problem: String,
         becomes_keyframe: bool,
     ) -> Registration {
-        let Attempt { last, motion, base_from_laser } = attempt;
+        let Attempt { last, prediction: Prediction { motion, covariance }, base_from_laser } = attempt;
         self.counters.predicted += 1;
-        let motion_covariance = uncertainty::of_prediction(motion);
-        let error = ErrorEstimate::of_covariance(&motion_covariance);
+        let error = ErrorEstimate::of_covariance(covariance);
         let answer = Answer {
             outcome: Outcome::Predicted(problem),
             odom_from_base: last.odom_from_base * *motion,
-            covariance: uncertainty::compound(&last.odom_from_base, &last.covariance, motion, &motion_covariance),
-            step_covariance: motion_covariance,
+            covariance: uncertainty::compound(&last.odom_from_base, &last.covariance, motion, covariance),
+            step_covariance: *covariance,
             refinement,
             predicted_error: error,
             estimated_error: error,
@@ -477,11 +465,11 @@ impl LaserOdometry {
             return answer;
         }
         self.counters.predicted += 1;
-        let (odom_from_base, covariance, motion) = match self.last {
-            Some(last) => (last.odom_from_base, last.covariance, self.predicted_motion(&last, stamp)),
-            None => (self.start, PoseCovariance::zeros(), Pose2::IDENTITY),
+        let (odom_from_base, covariance, prediction) = match self.last {
+            Some(last) => (last.odom_from_base, last.covariance, self.predict(&last, stamp)),
+            None => (self.start, PoseCovariance::zeros(), Prediction::NONE),
         };
-        let motion_covariance = uncertainty::of_prediction(&motion);
+        let Prediction { motion, covariance: motion_covariance } = prediction;
         // The last answer stays as it is: the next scan's prediction starts from the last scan there was.
         Registration {
             outcome: Outcome::Predicted(problem),
@@ -497,14 +485,15 @@ impl LaserOdometry {
     }
 
     /// The motion of the base since the last answer: by the wheels, else at constant velocity.
-    fn predicted_motion(&mut self, last: &Last, stamp: Stamp) -> Pose2 {
+    fn predict(&mut self, last: &Last, stamp: Stamp) -> Prediction {
         self.waited_in_vain = self.wheels.is_behind(stamp);
         if let Some(motion) = self.wheels.motion(last.stamp, stamp) {
-            return motion;
+            return Prediction { motion, covariance: uncertainty::of_wheels(&motion) };
         }
         self.counters.without_odometry += 1;
         let seconds = stamp.seconds_since(last.stamp);
-        if seconds <= MAX_PREDICTION_GAP { last.twist.motion(seconds) } else { Pose2::IDENTITY }
+        let motion = if seconds <= MAX_PREDICTION_GAP { last.twist.motion(seconds) } else { Pose2::IDENTITY };
+        Prediction { motion, covariance: uncertainty::of_constant_velocity(seconds) }
     }
 
     fn conclude(&mut self, scan: &Scan, base_from_laser: &Pose2, answer: Answer, becomes_keyframe: bool) -> Registration {
@@ -513,8 +502,7 @@ impl LaserOdometry {
             let odom_from_laser = answer.odom_from_base * *base_from_laser;
             let covariance =
                 uncertainty::compound(&answer.odom_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
-            self.upcoming_keyframe = Some((scan.clone(), Anchor { odom_from_laser, covariance }));
-            self.base_from_laser = *base_from_laser;
+            self.upcoming_keyframe = Some((scan.clone(), Placement { odom_from_laser, covariance }));
         }
         let seconds = self.last.map(|last| scan.stamp().seconds_since(last.stamp));
         let twist = match (self.last, seconds) {
@@ -523,8 +511,13 @@ impl LaserOdometry {
         };
         let twist_covariance =
             seconds.map_or_else(PoseCovariance::zeros, |seconds| answer.step_covariance * 2.0 / (seconds * seconds));
-        self.last =
-            Some(Last { stamp: scan.stamp(), odom_from_base: answer.odom_from_base, covariance: answer.covariance, twist });
+        self.last = Some(Last {
+            stamp: scan.stamp(),
+            odom_from_base: answer.odom_from_base,
+            odom_from_laser: answer.odom_from_base * *base_from_laser,
+            covariance: answer.covariance,
+            twist,
+        });
         Registration {
             outcome: answer.outcome,
             odom_from_base: answer.odom_from_base,
@@ -550,32 +543,49 @@ struct Answer {
     estimated_error: ErrorEstimate,
 }
 
+/// A motion of the base that is expected, seen from its start.
+#[derive(Clone, Copy)]
+struct Prediction {
+    motion: Pose2,
+    covariance: PoseCovariance,
+}
+
+impl Prediction {
+    const NONE: Self = Self { motion: Pose2::IDENTITY, covariance: PoseCovariance::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) };
+}
+
 /// A scan to be matched.
 #[derive(Clone, Copy)]
 struct Attempt {
     /// The answer before.
     last: Last,
-    /// Predicted motion of the base since then.
-    motion: Pose2,
+    /// Motion of the base since then.
+    prediction: Prediction,
     base_from_laser: Pose2,
 }
 
 impl Attempt {
     /// Covariance of the predicted pose of the laser in the keyframe's frame.
-    fn prior(&self, keyframe: &Anchor) -> Prior {
+    fn prior(&self, keyframe: &Placement) -> Prior {
         let none = PoseCovariance::zeros();
         let keyframe_from_last = keyframe.odom_from_laser.between(&self.last.odom_from_base);
-        let of_motion = uncertainty::of_prediction(&self.motion);
-        let keyframe_from_base = keyframe_from_last * self.motion;
-        let of_base = uncertainty::compound(&keyframe_from_last, &none, &self.motion, &of_motion);
+        let Prediction { motion, covariance } = &self.prediction;
+        let keyframe_from_base = keyframe_from_last * *motion;
+        let of_base = uncertainty::compound(&keyframe_from_last, &none, motion, covariance);
         Prior {
             pose: keyframe_from_base * self.base_from_laser,
             covariance: uncertainty::compound(&keyframe_from_base, &of_base, &self.base_from_laser, &none),
         }
     }
 
+    /// Where to search: the more the robot has turned, the less is known of how far.
+    fn window(&self) -> SearchWindow {
+        let (turn, window) = (self.prediction.motion.theta.abs(), SearchWindow::default());
+        SearchWindow { angle: window.angle.max(SEARCHED_PART_OF_TURN * turn), always: turn > window.angle, ..window }
+    }
+
     fn predicted_laser(&self) -> Pose2 {
-        self.last.odom_from_base * self.motion * self.base_from_laser
+        self.last.odom_from_base * self.prediction.motion * self.base_from_laser
     }
 }
 

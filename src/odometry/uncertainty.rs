@@ -24,11 +24,19 @@ pub fn compound(a: &Pose2, a_covariance: &PoseCovariance, b: &Pose2, b_covarianc
     by_a * a_covariance * by_a.transpose() + by_b * b_covariance * by_b.transpose()
 }
 
-/// Covariance of a predicted motion, seen from its start: grows with the way and the turn. The figures suit uncalibrated wheel
-/// odometry.
-pub fn of_prediction(motion: &Pose2) -> PoseCovariance {
+/// Covariance of a motion measured by wheels, seen from its start: grows with the way and the turn. The figures suit uncalibrated
+/// wheel odometry.
+pub fn of_wheels(motion: &Pose2) -> PoseCovariance {
     let (way, turn) = (motion.distance(), motion.theta.abs());
-    let position = 0.01 + 0.1 * way + 0.02 * turn;
-    let heading = 0.01 + 0.15 * turn + 0.03 * way;
+    diagonal(0.01 + 0.1 * way + 0.02 * turn, 0.01 + 0.15 * turn + 0.03 * way)
+}
+
+/// Covariance of a motion at constant velocity: a robot may have sped up by some 5 m/s^2 and 20 rad/s^2.
+pub fn of_constant_velocity(seconds: f64) -> PoseCovariance {
+    let half_square = 0.5 * seconds * seconds;
+    diagonal(0.01 + 5.0 * half_square, 0.01 + 20.0 * half_square)
+}
+
+fn diagonal(position: f64, heading: f64) -> PoseCovariance {
     PoseCovariance::from_diagonal(&[position * position, position * position, heading * heading].into())
 }

@@ -26,7 +26,7 @@ const STEEPEST: f64 = 0.16;
 /// It has come to rest when it falls to no less than this part.
 const RESTING: f64 = 0.7;
 /// Least floor, in units of a range's variance: surfaces are uneven, beams are wide.
-const LEAST_FLOOR: f64 = 0.2;
+const LEAST_FLOOR: f64 = 0.15;
 /// The pairs of neighbouring rays err alike, so that all together know less than their variances say: by this factor of the variance.
 const DEPENDENCE: f64 = 3.0;
 /// A ray agrees with a surface that it ends this near to, m.
