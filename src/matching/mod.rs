@@ -34,6 +34,8 @@ pub use view::View;
 const FEWEST_PAIRS: u32 = 3;
 /// Where fewer of the rays agree, the pose is doubtful.
 const DOUBTFUL_AGREEMENT: f64 = 0.9;
+/// What a search finds must have more than this part of the rays agree.
+const LIKELY_AGREEMENT: f64 = 0.5;
 /// Rays that the search makes do with.
 const SEARCH_RAYS: usize = 90;
 /// Iterations from each start of the search.
@@ -50,7 +52,7 @@ crate::knobs! {
     pub struct MatchingKnobs {
         /// How the partner of a point in the reference is found. All but `projective` are for its nearest point: classic PL-ICP.
         correspondence: Correspondence = Correspondence::Projective;
-        /// What is minimised, and how.
+        /// What is minimised, and how. Projective pairs are of points with lines: `point_to_point` is `point_to_line` for them.
         solver: SolverKind = SolverKind::PointToLine;
         /// Rays of the sensed scan that take part at most, spread over the whole field of view; 0: all.
         max_rays: u32 = 0, in 0 to 10000;
@@ -191,13 +193,16 @@ impl Matcher {
     /// A matcher with these knobs.
     pub fn new(knobs: &MatchingKnobs, rejection: &RejectionKnobs) -> Self {
         let noise = knobs.range_noise;
+        // There are no points to be had but those on the lines.
+        let is_of_lines = knobs.correspondence == Correspondence::Projective;
+        let solver = if is_of_lines && knobs.solver == SolverKind::PointToPoint { SolverKind::PointToLine } else { knobs.solver };
         let pairing: Box<dyn Pairing> = match knobs.correspondence.search() {
             Some(search) => Box::new(ClosestPoint::new(search, rejection, knobs.max_correspondence_distance, noise)),
             None => Box::new(Projective::new(noise)),
         };
         Self {
             pairing,
-            solver: knobs.solver.solver(),
+            solver: solver.solver(),
             search: Search::default(),
             fitter: LineFitter::default(),
             rays_chosen: 0,
@@ -307,7 +312,8 @@ impl Refinement<'_> {
         let m = &mut *self.matcher;
         let Some(agreement) = m.pairing.agreement() else { return Some(outcome) };
         if let (Stage::Confirm, Some(tracked)) = (self.stage, m.search.tracked()) {
-            let is_better = !outcome.is_failure() && search::is_better(agreement, tracked.agreement, self.finest);
+            let is_likely = !outcome.is_failure() && agreement.share() > LIKELY_AGREEMENT;
+            let is_better = is_likely && search::is_better(agreement, tracked.agreement, self.finest);
             return Some(if is_better { outcome } else { self.return_to(&tracked) });
         }
         let window = &self.first_guess.window;
@@ -353,7 +359,9 @@ impl Refinement<'_> {
         self.next_rays = self.finest;
         self.begin_level();
         self.matcher.pair_again(&self.first_guess, tracked);
-        tracked.outcome
+        // Pairs there are everywhere in sight; that they agree is what makes them correspondences.
+        let agrees = tracked.agreement.share() >= self.matcher.knobs.min_correspondence_ratio;
+        if agrees { tracked.outcome } else { StopReason::TooFewCorrespondences }
     }
 
     /// From the next iteration on about this many rays take part, as far as there are so many and they are allowed.

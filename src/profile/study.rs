@@ -196,7 +196,7 @@ impl Results {
 /// The cases of the first knob of the default variant, or of the first variant where the default one is not among them.
 fn showcase(cases: impl Iterator<Item = (Variant, Knob)>) -> Vec<usize> {
     let cases: Vec<_> = cases.collect();
-    let default = Variant { search: Correspondence::JumpTable, solver: SolverKind::PointToLine };
+    let default = Variant { search: Correspondence::Projective, solver: SolverKind::PointToLine };
     let Some(&chosen) = cases.iter().find(|case| case.0 == default).or(cases.first()) else { return Vec::new() };
     (0..cases.len()).filter(|&i| cases[i] == chosen).collect()
 }

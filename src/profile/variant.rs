@@ -17,7 +17,7 @@ use crate::matching::solver::SolverKind;
 ///
 /// let variant: Variant = "jump_table+point_to_line".parse()?;
 /// assert_eq!(variant.to_string(), "jump_table+point_to_line");
-/// assert_eq!(Variant::all().len(), 12);
+/// assert_eq!(Variant::all().len(), 15);
 /// # Ok::<(), anytime_scan_matcher::profile::variant::VariantError>(())
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -41,10 +41,13 @@ pub struct VariantError {
 }
 
 impl Variant {
-    /// Every search with every solver.
+    /// Every search with every solver that is another with it.
     pub fn all() -> Vec<Self> {
         let with = |&search| SolverKind::ALL.iter().map(move |&solver| Self { search, solver });
-        Correspondence::ALL.iter().flat_map(with).collect()
+        let differs = |variant: &Self| {
+            variant.search != Correspondence::Projective || variant.solver != SolverKind::PointToPoint
+        };
+        Correspondence::ALL.iter().flat_map(with).filter(differs).collect()
     }
 
     /// Sets the variant in a configuration.

@@ -333,7 +333,6 @@ impl Pairing for Projective {
         self.sensed.len
     }
 
-    /// Points are paired with lines here, whatever a solver's metric: so they are for those that minimise distances of points, too.
     fn pair(&mut self, pose: &Pose2, _metric: Metric) -> Option<Pairs> {
         if self.views.is_empty() {
             return None;
