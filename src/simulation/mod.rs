@@ -5,10 +5,9 @@
 //! the same messages, bit for bit.
 
 pub mod built_in;
-pub mod distance;
 pub mod drive;
 pub mod driver;
-pub mod grid;
+pub mod grid_world;
 pub mod lidar;
 pub mod motion;
 pub mod odometer;
