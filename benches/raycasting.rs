@@ -66,7 +66,7 @@ fn benches(criterion: &mut Criterion) {
             group.bench_function(BenchmarkId::from_parameter(method.name()), |bencher| {
                 bencher.iter(|| {
                     next = (next + 1) % clouds.len();
-                    caster.cast_all(black_box(&clouds[next]), &fan, &mut lengths);
+                    caster.cast(black_box(&clouds[next]), &fan, &mut lengths);
                 });
             });
         }
@@ -75,7 +75,7 @@ fn benches(criterion: &mut Criterion) {
         let mut group = criterion.benchmark_group("everywhere_4000x60");
         group.throughput(Throughput::Elements(4000 * 60));
         group.bench_function(BenchmarkId::from_parameter(method.name()), |bencher| {
-            bencher.iter(|| caster.cast_all(black_box(&everywhere), &fan, &mut lengths));
+            bencher.iter(|| caster.cast(black_box(&everywhere), &fan, &mut lengths));
         });
     }
 }

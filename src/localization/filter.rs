@@ -200,10 +200,13 @@ impl ParticleFilter {
         let poses = x.par_chunks(CHUNK).zip(y.par_chunks(CHUNK)).zip(theta.par_chunks(CHUNK));
         self.pool.install(|| {
             poses.zip(self.log_likelihoods.par_chunks_mut(CHUNK)).for_each(|(((x, y), theta), results)| {
-                let mut lengths = vec![0.0; fan.len()];
-                for (((x, y), theta), result) in x.iter().zip(y).zip(theta).zip(results) {
-                    caster.cast(&laser_at(*x, *y, *theta, mount), fan, &mut lengths);
-                    *result = beams.log_likelihood(&rows, &lengths);
+                let views: Vec<Viewpoint> =
+                    x.iter().zip(y).zip(theta).map(|((&x, &y), &theta)| laser_at(x, y, theta, mount)).collect();
+                let mut lengths = vec![0.0; fan.len() * views.len()];
+                caster.cast(&views, fan, &mut lengths);
+                results.fill(0.0);
+                for (row, lengths) in rows.iter().zip(lengths.chunks_exact(views.len())) {
+                    beams.add_log_likelihoods(row, lengths, results);
                 }
             });
         });

@@ -23,11 +23,11 @@ crate::knobs! {
         /// The frame of the map.
         map_frame: String = "map".into();
         /// Particles, when the robot knows where it is.
-        particles: u32 = 4000, in 10 to 1000000;
+        particles: u32 = 4000, in 10 to 1_000_000;
         /// While the cloud is compact, as few as this will do (KLD sampling); unset: always `particles`.
-        min_particles: Option<u32> = None, in 10 to 1000000;
+        min_particles: Option<u32> = None, in 10 to 1_000_000;
         /// Particles to begin with when the robot may be anywhere; their number falls as the cloud contracts (KLD sampling).
-        global_particles: u32 = 100_000, in 100 to 10000000;
+        global_particles: u32 = 100_000, in 100 to 10_000_000;
         /// KLD sampling: bound on the error of the distribution.
         kld_error: f64 = 0.05, in 0.001 to 1;
         /// Resample when the effective number of particles falls below this part of them.

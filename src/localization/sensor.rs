@@ -14,7 +14,7 @@ crate::knobs! {
         /// Part that do not come back.
         max: f64 = 0.05, in 0 to 1;
         /// Part that end anywhere.
-        random: f64 = 0.1, in 0.000001 to 1;
+        random: f64 = 0.1, in 0.000_001 to 1;
         /// Standard deviation of ranges about the map's: noise of the laser, and the size of cells.
         hit_error: f64 = 0.08, in 0.001 to 10, unit "m";
         /// Mean distance of what the map does not have.
@@ -61,11 +61,13 @@ impl BeamTable {
         observation.ranges.iter().map(row).collect()
     }
 
-    /// The logarithm of the likelihood of all beams, where the map has `lengths`, cells.
+    /// Adds the logarithm of the likelihood of one beam, by its row, to that of each particle where the map has `lengths`, cells.
     #[inline]
-    pub(super) fn log_likelihood(&self, rows: &[&[f32]], lengths: &[f32]) -> f32 {
-        let last = self.classes - 1;
-        rows.iter().zip(lengths).map(|(row, length)| row[((length * self.classes_per_cell) as usize).min(last)]).sum()
+    pub(super) fn add_log_likelihoods(&self, row: &[f32], lengths: &[f32], sums: &mut [f32]) {
+        let (row, last) = (&row[..self.classes], self.classes - 1);
+        for (sum, length) in sums.iter_mut().zip(lengths) {
+            *sum += row[((length * self.classes_per_cell) as usize).min(last)];
+        }
     }
 }
 

@@ -91,11 +91,11 @@ impl Axis {
 }
 
 impl RayCaster for Bresenham {
-    fn cast(&self, from: &Viewpoint, fan: &Fan, lengths: &mut [f32]) {
-        let Some(start) = self.walls.index(from.x, from.y) else { return lengths.fill(f32::INFINITY) };
-        for (direction, length) in fan.directions_from(from).zip(lengths) {
-            *length = self.length(start, from, direction);
-        }
+    fn cast(&self, from: &[Viewpoint], fan: &Fan, lengths: &mut [f32]) {
+        fan.fill(from, lengths, |from, beam| {
+            let start = self.walls.index(from.x, from.y);
+            start.map_or(f32::INFINITY, |start| self.length(start, from, beam.direction_from(from)))
+        });
     }
 
     fn memory(&self) -> usize {

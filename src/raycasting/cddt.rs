@@ -172,13 +172,16 @@ fn add_crossings(direction: &Direction, [x, y]: [f32; 2], strips: &mut [Vec<(f32
 }
 
 impl RayCaster for Cddt {
-    fn cast(&self, from: &Viewpoint, fan: &Fan, lengths: &mut [f32]) {
-        let Some(start) = self.walls.index(from.x, from.y) else { return lengths.fill(f32::INFINITY) };
-        if self.walls.stops(start) {
-            return lengths.fill(0.0);
-        }
-        for (turn, length) in fan.turns_from(from).zip(lengths) {
-            *length = self.length(from, sector(turn, DIRECTIONS));
+    fn cast(&self, from: &[Viewpoint], fan: &Fan, lengths: &mut [f32]) {
+        fan.fill(from, lengths, |from, beam| self.length(from, sector(beam.turn_from(from), DIRECTIONS)));
+        // Strips know where walls begin, not which viewpoints are within them or outside the map.
+        for (view, from_here) in from.iter().enumerate() {
+            let length = match self.walls.index(from_here.x, from_here.y) {
+                None => f32::INFINITY,
+                Some(start) if self.walls.stops(start) => 0.0,
+                Some(_) => continue,
+            };
+            lengths.iter_mut().skip(view).step_by(from.len()).for_each(|result| *result = length);
         }
     }
 

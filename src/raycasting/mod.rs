@@ -60,61 +60,68 @@ impl Viewpoint {
     }
 }
 
-/// Beams of a laser: their directions, seen from it.
+/// A beam of a laser: its direction, seen from it.
+#[derive(Clone, Copy, Debug)]
+struct Beam {
+    turn: Turn,
+    x: f32,
+    y: f32,
+}
+
+impl Beam {
+    /// Its heading in the grid.
+    #[inline]
+    fn turn_from(&self, from: &Viewpoint) -> Turn {
+        self.turn.wrapping_add(from.turn)
+    }
+
+    /// Its unit vector in the grid.
+    #[inline]
+    fn direction_from(&self, from: &Viewpoint) -> [f32; 2] {
+        [from.cos * self.x - from.sin * self.y, from.sin * self.x + from.cos * self.y]
+    }
+}
+
+/// Beams of a laser.
 #[derive(Clone, Debug, Default)]
 pub struct Fan {
-    turns: Vec<Turn>,
-    directions: Vec<[f32; 2]>,
+    beams: Vec<Beam>,
 }
 
 impl Fan {
-    /// Beams at these angles, rad.
+    /// Beams at these angles, rad, seen from the laser.
     #[allow(clippy::cast_possible_truncation)] // unit vectors
     pub fn new(angles: impl IntoIterator<Item = f64>) -> Self {
-        let mut fan = Self::default();
-        for angle in angles {
-            fan.turns.push(turn(angle));
-            fan.directions.push([angle.cos() as f32, angle.sin() as f32]);
-        }
-        fan
+        let beam = |angle: f64| Beam { turn: turn(angle), x: angle.cos() as f32, y: angle.sin() as f32 };
+        Self { beams: angles.into_iter().map(beam).collect() }
     }
 
     /// Number of beams.
     pub fn len(&self) -> usize {
-        self.turns.len()
+        self.beams.len()
     }
 
     /// Whether there are no beams.
     pub fn is_empty(&self) -> bool {
-        self.turns.is_empty()
+        self.beams.is_empty()
     }
 
-    /// The beams' headings, seen from the grid.
+    /// Fills `lengths` beam by beam: from viewpoints near each other, the same beam meets the same walls, which stay in the cache.
     #[inline]
-    fn turns_from(&self, from: &Viewpoint) -> impl Iterator<Item = Turn> {
-        let turn = from.turn;
-        self.turns.iter().map(move |beam| beam.wrapping_add(turn))
-    }
-
-    /// The beams' unit vectors, seen from the grid.
-    #[inline]
-    fn directions_from(&self, from: &Viewpoint) -> impl Iterator<Item = [f32; 2]> {
-        let (cos, sin) = (from.cos, from.sin);
-        self.directions.iter().map(move |[x, y]| [cos * x - sin * y, sin * x + cos * y])
+    fn fill(&self, from: &[Viewpoint], lengths: &mut [f32], length: impl Fn(&Viewpoint, &Beam) -> f32) {
+        for (beam, lengths) in self.beams.iter().zip(lengths.chunks_exact_mut(from.len().max(1))) {
+            for (from, result) in from.iter().zip(lengths) {
+                *result = length(from, beam);
+            }
+        }
     }
 }
 
 /// A way to find how far beams go in one map.
 pub trait RayCaster: Send + Sync {
-    /// The length of each beam of `fan` to the first wall, cells; infinite if there is none in reach or if it starts outside.
-    fn cast(&self, from: &Viewpoint, fan: &Fan, lengths: &mut [f32]);
-
-    /// The same from many viewpoints: `lengths` holds the beams of the first, then those of the second, and so on.
-    fn cast_all(&self, from: &[Viewpoint], fan: &Fan, lengths: &mut [f32]) {
-        for (from, lengths) in from.iter().zip(lengths.chunks_exact_mut(fan.len().max(1))) {
-            self.cast(from, fan, lengths);
-        }
-    }
+    /// The lengths of all beams of `fan` from all viewpoints to the first wall, cells; infinite if there is none in reach or if the
+    /// viewpoint is outside. First those of the first beam, from one viewpoint after the other, then those of the second, and so on.
+    fn cast(&self, from: &[Viewpoint], fan: &Fan, lengths: &mut [f32]);
 
     /// Memory that it holds, bytes.
     fn memory(&self) -> usize;

@@ -73,11 +73,10 @@ impl RayMarching {
 }
 
 impl RayCaster for RayMarching {
-    fn cast(&self, from: &Viewpoint, fan: &Fan, lengths: &mut [f32]) {
-        let Some(start) = self.start(from) else { return lengths.fill(f32::INFINITY) };
-        for (direction, length) in fan.directions_from(from).zip(lengths) {
-            *length = self.length(start, direction);
-        }
+    fn cast(&self, from: &[Viewpoint], fan: &Fan, lengths: &mut [f32]) {
+        fan.fill(from, lengths, |from, beam| {
+            self.start(from).map_or(f32::INFINITY, |start| self.length(start, beam.direction_from(from)))
+        });
     }
 
     fn memory(&self) -> usize {

@@ -58,19 +58,16 @@ impl Table {
 }
 
 impl RayCaster for Table {
-    fn cast(&self, from: &Viewpoint, fan: &Fan, lengths: &mut [f32]) {
-        if self.others.start(from).is_none() {
-            return lengths.fill(f32::INFINITY);
-        }
-        let block = self.blocks[from.y as usize * self.width + from.x as usize];
-        if block == NOT_LISTED {
-            return self.others.cast(from, fan, lengths);
-        }
-        let block = &self.lengths[block as usize * DIRECTIONS as usize..][..DIRECTIONS as usize];
-        for (turn, length) in fan.turns_from(from).zip(lengths) {
-            let entry = block[sector(turn, DIRECTIONS)];
-            *length = if entry == NOTHING { f32::INFINITY } else { f32::from(entry) * self.unit };
-        }
+    fn cast(&self, from: &[Viewpoint], fan: &Fan, lengths: &mut [f32]) {
+        fan.fill(from, lengths, |from, beam| {
+            let Some(start) = self.others.start(from) else { return f32::INFINITY };
+            let block = self.blocks[from.y as usize * self.width + from.x as usize];
+            if block == NOT_LISTED {
+                return self.others.length(start, beam.direction_from(from));
+            }
+            let entry = self.lengths[block as usize * DIRECTIONS as usize + sector(beam.turn_from(from), DIRECTIONS)];
+            if entry == NOTHING { f32::INFINITY } else { f32::from(entry) * self.unit }
+        });
     }
 
     fn memory(&self) -> usize {
