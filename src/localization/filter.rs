@@ -12,15 +12,15 @@ use super::observation::Observation;
 use super::particles::{Particles, effective_number};
 use super::recovery::Fit;
 use super::resampling::{kld_count, low_variance};
-use super::sensor::{BeamTable, SensorKnobs};
+use super::sensor::{BeamTable, SensorKnobs, expected_fit};
 use super::streams::{CHUNK, Streams};
 use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 use crate::map::grid::OccupancyGrid;
 use crate::map::indoors::indoor_cells;
 use crate::raycasting::{RayCaster, Viewpoint, turn};
 
-/// While particles are all over the map, each is moved by so much when chosen: no two shall stand for the same pose. Cells, rad.
-const ROUGHENING: (f32, f32) = (1.0, 0.03);
+/// While the robot may be anywhere, each particle is moved by so much when chosen: no two shall stand for the same pose. Cells, rad.
+const ROUGHENING: (f32, f32) = (1.0, 0.02);
 /// Standard deviation of the position within which the robot knows where it is, m,
 const LOCALIZED: f64 = 0.3;
 /// if the cluster has this part of the weight.
@@ -57,6 +57,10 @@ pub struct ParticleFilter {
     knobs: LocalizationKnobs,
     motion: MotionKnobs,
     beams: BeamTable,
+    /// The model while the robot may be anywhere.
+    global_beams: BeamTable,
+    /// What scans fit where the robot is, as the model says.
+    expected_fit: f64,
     squash: f64,
     caster: Box<dyn RayCaster>,
     grid: OccupancyGrid,
@@ -69,6 +73,8 @@ pub struct ParticleFilter {
     chosen: Particles,
     weights: Vec<f32>,
     log_likelihoods: Vec<f32>,
+    /// Whether the robot may be anywhere.
+    exploring: bool,
     fit: Fit,
     last_fit: f64,
 }
@@ -85,6 +91,8 @@ impl ParticleFilter {
             knobs: knobs.clone(),
             motion: motion.clone(),
             beams: BeamTable::new(sensor, map.resolution()),
+            global_beams: BeamTable::global(sensor, map.resolution()),
+            expected_fit: expected_fit(sensor),
             squash: sensor.squash,
             caster: knobs.ray_casting.caster(&map, sensor.max_range / map.resolution()),
             indoors: indoor_cells(&map),
@@ -95,6 +103,7 @@ impl ParticleFilter {
             chosen: Particles::default(),
             weights: Vec::new(),
             log_likelihoods: Vec::new(),
+            exploring: true,
             fit: Fit::default(),
             last_fit: 0.0,
         };
@@ -117,6 +126,7 @@ impl ParticleFilter {
             let pose = self.grid.pose_in_cells(&pose);
             self.particles.push([pose.x as f32, pose.y as f32, pose.theta as f32], 0.0);
         }
+        self.exploring = false;
         self.fit = Fit::default();
     }
 
@@ -124,7 +134,8 @@ impl ParticleFilter {
     pub fn spread(&mut self) {
         self.particles.clear();
         self.scatter(self.knobs.global_particles as usize, 0.0);
-        self.fit = Fit::default();
+        self.exploring = true;
+        self.fit = Fit::expecting(self.expected_fit);
     }
 
     /// Adds particles all over the map.
@@ -162,9 +173,8 @@ impl ParticleFilter {
 
     /// The laser, at `base_from_laser`, has seen something: new evidence, each scan but once.
     pub fn update(&mut self, observation: &Observation, base_from_laser: &Pose2) -> Belief {
-        let random = self.fit.random_part(self.knobs.recover_below);
-        if random > 0.0 {
-            self.throw_over_the_map(random);
+        if !self.exploring && self.fit.is_lost(self.knobs.recover_below) {
+            self.look_everywhere();
         }
         if !observation.ranges.is_empty() {
             self.weigh(observation, base_from_laser);
@@ -172,6 +182,7 @@ impl ParticleFilter {
         self.particles.weights(&mut self.weights);
         let belief = self.belief();
         let particles = self.particles.len();
+        self.exploring &= !belief.is_localized();
         let crowded = particles > self.knobs.particles as usize;
         if belief.effective < self.knobs.resample_below * particles as f64 || crowded {
             self.resample();
@@ -179,19 +190,21 @@ impl ParticleFilter {
         belief
     }
 
-    /// A part of the belief goes to particles all over the map.
-    fn throw_over_the_map(&mut self, part: f64) {
-        let count = (part * f64::from(self.knobs.global_particles)) as usize;
+    /// Half of the belief goes to particles all over the map.
+    fn look_everywhere(&mut self) {
+        let count = self.knobs.global_particles as usize;
         self.particles.weights(&mut self.weights);
         let largest = self.particles.log_weight.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let total: f64 = self.weights.iter().map(|&weight| f64::from(weight)).sum();
-        let each = total * part / ((1.0 - part).max(0.01) * count.max(1) as f64);
-        self.scatter(count, largest + each.ln() as f32);
+        self.scatter(count, largest + (total / count as f64).ln() as f32);
+        self.exploring = true;
+        self.fit = Fit::expecting(self.fit.usual());
     }
 
     fn weigh(&mut self, observation: &Observation, base_from_laser: &Pose2) {
-        let rows = self.beams.rows(observation);
-        let (fan, beams, caster) = (&observation.fan, &self.beams, &*self.caster);
+        let beams = if self.exploring { &self.global_beams } else { &self.beams };
+        let rows = beams.rows(observation);
+        let (fan, caster) = (&observation.fan, &*self.caster);
         let per_metre = self.grid.resolution().recip();
         let mount =
             [(base_from_laser.x * per_metre) as f32, (base_from_laser.y * per_metre) as f32, base_from_laser.theta as f32];
@@ -210,7 +223,8 @@ impl ParticleFilter {
                 }
             });
         });
-        self.take_evidence(rows.len());
+        let count = rows.len();
+        self.take_evidence(count);
     }
 
     /// Weights by the likelihoods, to a power of less than one where they would leave too few particles effective.
@@ -224,7 +238,8 @@ impl ParticleFilter {
             self.particles.weights(&mut self.weights);
             effective_number(&self.weights)
         };
-        let least = self.knobs.least_effective * before.len() as f64;
+        let part = if self.exploring { self.knobs.global_least_effective } else { self.knobs.least_effective };
+        let least = part * before.len() as f64;
         if effective_with(1.0) < least {
             let (mut low, mut high) = (0.0, 1.0);
             for _ in 0..HALVINGS {
@@ -240,7 +255,9 @@ impl ParticleFilter {
         };
         let log_mean = mean(&before, likelihoods) - mean(&before, &[]);
         self.last_fit = (log_mean * self.squash / beams as f64).exp();
-        self.fit.add(self.last_fit);
+        if !self.exploring {
+            self.fit.add(self.last_fit);
+        }
     }
 
     fn belief(&self) -> Belief {
@@ -261,11 +278,10 @@ impl ParticleFilter {
     fn resample(&mut self) {
         let mut random = self.streams.next()(0);
         let count = self.next_count();
-        let crowded = count > self.knobs.particles as usize;
         self.chosen.clear();
         for index in low_variance(&self.weights, count, random.random()) {
             let mut pose = self.particles.pose(index);
-            if crowded {
+            if self.exploring {
                 for (value, deviation) in pose.iter_mut().zip([ROUGHENING.0, ROUGHENING.0, ROUGHENING.1]) {
                     let normal: f32 = StandardNormal.sample(&mut random);
                     *value += deviation * normal;
@@ -280,7 +296,7 @@ impl ParticleFilter {
     fn next_count(&self) -> usize {
         let (now, usual) = (self.particles.len(), self.knobs.particles as usize);
         let least = self.knobs.min_particles.map_or(usual, |least| (least as usize).min(usual));
-        if now <= usual && least == usual {
+        if now == usual && least == usual {
             return usual;
         }
         let chosen = low_variance(&self.weights, now, 0.5);

@@ -17,6 +17,8 @@ crate::knobs! {
         random: f64 = 0.1, in 0.000_001 to 1;
         /// Standard deviation of ranges about the map's: noise of the laser, and the size of cells.
         hit_error: f64 = 0.08, in 0.001 to 10, unit "m";
+        /// The same while the robot may be anywhere: particles are too far apart for more.
+        global_hit_error: f64 = 0.4, in 0.001 to 10, unit "m";
         /// Mean distance of what the map does not have.
         short_distance: f64 = 2.0, in 0.01 to 100, unit "m";
         /// Beams go no farther; at most the laser's `range_max`.
@@ -39,6 +41,11 @@ pub(super) struct BeamTable {
 }
 
 impl BeamTable {
+    /// The model for a robot that may be anywhere.
+    pub(super) fn global(knobs: &SensorKnobs, resolution: f64) -> Self {
+        Self::new(&SensorKnobs { hit_error: knobs.global_hit_error.max(knobs.hit_error), ..knobs.clone() }, resolution)
+    }
+
     pub(super) fn new(knobs: &SensorKnobs, resolution: f64) -> Self {
         let last = (knobs.max_range / CLASS).ceil() as usize;
         let classes = last + 1; // the last one: nothing within reach
@@ -69,6 +76,13 @@ impl BeamTable {
             *sum += row[((length * self.classes_per_cell) as usize).min(last)];
         }
     }
+}
+
+/// The geometric mean of the likelihoods of the beams that the model expects.
+pub(super) fn expected_fit(knobs: &SensorKnobs) -> f64 {
+    let last = (knobs.max_range / CLASS).ceil() as usize;
+    let likelihoods = (0..=last).map(|measured| likelihood(knobs, measured, last / 4, last));
+    likelihoods.filter(|&likelihood| likelihood > 0.0).map(|likelihood| likelihood * likelihood.ln()).sum::<f64>().exp()
 }
 
 /// The share of ranges in a class, where the map has the range of another.
