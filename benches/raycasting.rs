@@ -1,6 +1,6 @@
 //! Rays per second of every ray caster on a real map (or a made-up one, where there is none), from a cloud of poses as a particle
 //! filter has it; start-up time and memory are printed first.
-#![allow(missing_docs, clippy::unwrap_used, clippy::print_stderr)]
+#![allow(missing_docs, clippy::unwrap_used, clippy::print_stderr, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 
 #[path = "../tests/common/mod.rs"]
 mod common;
