@@ -23,7 +23,9 @@ const MAX_RANGE: f64 = 30.0;
 fn map() -> OccupancyGrid {
     shared("data/maps/levine.yaml").map_or_else(
         || {
-            let wall = |i: usize| if (i % 1000) % 97 == 0 || (i / 1000) % 89 == 0 { Cell::Occupied } else { Cell::Free };
+            let wall = |i: usize| {
+                if (i % 1000).is_multiple_of(97) || (i / 1000).is_multiple_of(89) { Cell::Occupied } else { Cell::Free }
+            };
             OccupancyGrid::new(1000, 0.05, Pose2::IDENTITY, (0..1_000_000).map(wall).collect()).unwrap()
         },
         |path| map_file::read(&path).unwrap(),
