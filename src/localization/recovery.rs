@@ -49,7 +49,9 @@ mod tests {
     #[test]
     fn what_fits_worse_than_usual_or_than_expected_is_lost() {
         let after = |mut fit: Fit, likelihoods: &[f64]| {
-            likelihoods.iter().for_each(|&likelihood| fit.add(likelihood));
+            for &likelihood in likelihoods {
+                fit.add(likelihood);
+            }
             fit.is_lost(0.7)
         };
         let (good, bad) = ([0.1; 50], [0.01; 50]);

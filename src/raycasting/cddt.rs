@@ -181,7 +181,7 @@ impl RayCaster for Cddt {
                 Some(start) if self.walls.stops(start) => 0.0,
                 Some(_) => continue,
             };
-            lengths.iter_mut().skip(view).step_by(from.len()).for_each(|result| *result = length);
+            lengths.iter_mut().skip(view).step_by(from.len()).take(fan.len()).for_each(|result| *result = length);
         }
     }
 
