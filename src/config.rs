@@ -10,6 +10,9 @@ use thiserror::Error;
 
 use crate::anytime::contract::ContractKnobs;
 use crate::knobs::{KnobGroup, KnobInfo, Value, nearest_name};
+use crate::localization::LocalizationKnobs;
+use crate::localization::motion::MotionKnobs;
+use crate::localization::sensor::SensorKnobs;
 use crate::matching::MatchingKnobs;
 use crate::matching::rejection::RejectionKnobs;
 use crate::odometry::OdometryKnobs;
@@ -88,16 +91,25 @@ pub struct Config {
     pub matching: MatchingKnobs,
     /// `rejection.*`
     pub rejection: RejectionKnobs,
+    /// `localization.*`
+    pub localization: LocalizationKnobs,
+    /// `localization.motion.*`
+    pub motion: MotionKnobs,
+    /// `localization.sensor.*`
+    pub sensor: SensorKnobs,
 }
 
 impl Config {
-    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 5] {
+    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 8] {
         [
             ("", &self.frames),
             ("contract", &self.contract),
             ("odometry", &self.odometry),
             ("matching", &self.matching),
             ("rejection", &self.rejection),
+            ("localization", &self.localization),
+            ("localization.motion", &self.motion),
+            ("localization.sensor", &self.sensor),
         ]
     }
 
@@ -108,6 +120,9 @@ impl Config {
             "odometry" => Some(&mut self.odometry),
             "matching" => Some(&mut self.matching),
             "rejection" => Some(&mut self.rejection),
+            "localization" => Some(&mut self.localization),
+            "localization.motion" => Some(&mut self.motion),
+            "localization.sensor" => Some(&mut self.sensor),
             _ => None,
         }
     }

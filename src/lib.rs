@@ -21,6 +21,8 @@
 //! | [`time`], [`geometry`] | stamps to the nanosecond; poses of the plane, named `odom_from_base` |
 //! | [`quantile`] | quantiles in linear time |
 //! | [`knobs`](mod@knobs) | parameters, each declared once |
+//! | [`map`] | occupancy grids, distances in them |
+//! | [`raycasting`] | how far a beam goes in a map: four methods |
 //! | [`messages`] | ROS messages and their wire form, with or without ROS |
 //! | [`scan`], [`transforms`] | a checked scan; where `/tf` says the laser is |
 //! | `shared_memory` | on Linux: a controller on the same machine calls for the answer now and reads it, without ROS |
@@ -29,6 +31,7 @@
 //! | [`evaluation`] | ATE, RPE, relations, plots |
 //! | [`anytime`] | contracts, clocks, and refining until the contract ends |
 //! | [`odometry`] | predict, match, keep the keyframe: one scan to one pose |
+//! | [`localization`] | a particle filter: where on a map |
 //! | [`io`] | bags, CARMEN logs, trajectories, relations, maps |
 //! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |
 //! | [`app`] | messages in, estimates out |
@@ -54,11 +57,14 @@ pub mod evaluation;
 pub mod geometry;
 pub mod io;
 pub mod knobs;
+pub mod localization;
+pub mod map;
 pub mod matching;
 pub mod messages;
 pub mod odometry;
 pub mod profile;
 pub mod quantile;
+pub mod raycasting;
 pub mod replay;
 #[cfg(feature = "ros")]
 pub mod ros;

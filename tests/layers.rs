@@ -5,14 +5,15 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// From the bottom up. Modules of one layer do not know each other.
-const LAYERS: [&[&str]; 11] = [
+const LAYERS: [&[&str]; 12] = [
     &["time", "geometry", "quantile"],
-    &["knobs"],
-    &["messages"],
+    &["knobs", "map"],
+    &["messages", "raycasting"],
     &["scan", "transforms", "shared_memory"],
     &["matching", "simulation", "evaluation"],
     &["anytime"],
     &["odometry", "io"],
+    &["localization"],
     &["config"],
     &["app"],
     &["replay", "ros"],

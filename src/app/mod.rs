@@ -1,5 +1,6 @@
 //! The application: messages in, estimates out. The node and the offline tool both drive this, so that a replay is what ran live.
 
+pub mod localizer;
 mod warm_up;
 
 use std::path::Path;

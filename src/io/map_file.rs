@@ -7,7 +7,7 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use crate::geometry::Pose2;
-use crate::simulation::grid::{Cell, OccupancyGrid};
+use crate::map::grid::{Cell, OccupancyGrid};
 
 /// Why a map cannot be used. Every message names the file.
 #[derive(Debug, Error)]

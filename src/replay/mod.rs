@@ -1,6 +1,7 @@
 //! A bag through the very application that the node runs.
 
 pub mod csv_file;
+pub mod localize;
 pub mod map_sketch;
 pub mod recorder;
 pub mod summary;
@@ -10,7 +11,8 @@ use std::time::Duration;
 
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
-use crate::app::{App, Estimate};
+use crate::app::localizer::Localizer;
+use crate::app::{App, Estimate, InputError};
 use crate::io::bag::{Bag, BagError, BagMessage};
 use crate::io::contract_schedule::ContractSchedule;
 use crate::messages::header_stamp;
@@ -88,20 +90,17 @@ pub fn replay<E: From<BagError>>(
     source: &Source,
     app: &mut App,
     clock: &dyn Clock,
-    mut on_message: impl FnMut(),
+    on_message: impl FnMut(),
     mut on_estimate: impl FnMut(&LaserScan, &Estimate, &App) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
-    let Source { bag, topics, schedule } = *source;
-    let mut log = ReplayLog::default();
     let mut first_stamp = None;
-    let mut held: Option<HeldScan> = None;
-    let mut answer = |held: &HeldScan, app: &mut App, log: &mut ReplayLog| {
+    feed(source.bag, source.topics, app, on_message, |message, app, log| {
         let arrival = clock.now();
-        match held.message.decode::<LaserScan>() {
+        match message.decode::<LaserScan>() {
             Ok(scan) => {
                 let stamp = Stamp::from(scan.header.stamp);
                 let first_stamp = *first_stamp.get_or_insert(stamp);
-                if let Some(contract) = schedule.at(stamp.seconds_since(first_stamp)) {
+                if let Some(contract) = source.schedule.at(stamp.seconds_since(first_stamp)) {
                     app.set_contract(contract);
                 }
                 let mut estimate = app.on_scan(&scan, arrival);
@@ -111,8 +110,48 @@ pub fn replay<E: From<BagError>>(
             }
             Err(error) => log.note(&error),
         }
-        Ok::<_, E>(())
+        Ok(())
+    })
+}
+
+/// What takes the messages of a bag besides its scans.
+trait Listener {
+    fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError>;
+    fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError>;
+    /// How long to hold back a scan for odometry that it needs.
+    fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration>;
+}
+
+macro_rules! listener {
+    ($kind:ty) => {
+        impl Listener for $kind {
+            fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
+                Self::on_odometry(self, message)
+            }
+            fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
+                Self::on_transforms(self, message)
+            }
+            fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
+                Self::wait_for_odometry(self, stamp)
+            }
+        }
     };
+}
+
+listener!(App);
+listener!(Localizer);
+
+/// Hands the messages of a bag to a listener in their order, and its scans to `answer`, each when the odometry for it has come, or
+/// it can wait no longer.
+fn feed<L: Listener, E>(
+    bag: &Bag,
+    topics: &Topics,
+    listener: &mut L,
+    mut on_message: impl FnMut(),
+    mut answer: impl FnMut(&BagMessage, &mut L, &mut ReplayLog) -> Result<(), E>,
+) -> Result<ReplayLog, E> {
+    let mut log = ReplayLog::default();
+    let mut held: Option<HeldScan> = None;
     for message in bag.messages(Some(&topics.all())) {
         on_message();
         let message = match message {
@@ -123,20 +162,20 @@ pub fn replay<E: From<BagError>>(
             }
         };
         let is_scan = message.connection.topic == topics.scan;
-        if let Some(scan) = held.take_if(|scan| is_scan || !scan.can_wait(app, message.time)) {
-            answer(&scan, app, &mut log)?;
+        if let Some(scan) = held.take_if(|scan| is_scan || !scan.can_wait(listener, message.time)) {
+            answer(&scan.message, listener, &mut log)?;
         }
         if is_scan {
             held = Some(HeldScan::new(message));
-        } else if let Err(problem) = take(app, topics, &message) {
+        } else if let Err(problem) = take(listener, topics, &message) {
             log.note(&problem);
         }
-        if let Some(scan) = held.take_if(|scan| !scan.can_wait(app, scan.message.time)) {
-            answer(&scan, app, &mut log)?;
+        if let Some(scan) = held.take_if(|scan| !scan.can_wait(listener, scan.message.time)) {
+            answer(&scan.message, listener, &mut log)?;
         }
     }
     if let Some(scan) = held {
-        answer(&scan, app, &mut log)?;
+        answer(&scan.message, listener, &mut log)?;
     }
     Ok(log)
 }
@@ -154,20 +193,20 @@ impl<'bag> HeldScan<'bag> {
         Self { message, stamp }
     }
 
-    fn can_wait(&self, app: &App, now: Stamp) -> bool {
-        app.wait_for_odometry(self.stamp).is_some_and(|wait| now.seconds_since(self.message.time) < wait.as_secs_f64())
+    fn can_wait(&self, listener: &impl Listener, now: Stamp) -> bool {
+        listener.wait_for_odometry(self.stamp).is_some_and(|wait| now.seconds_since(self.message.time) < wait.as_secs_f64())
     }
 }
 
-fn take(app: &mut App, topics: &Topics, message: &BagMessage) -> Result<(), String> {
+fn take(listener: &mut impl Listener, topics: &Topics, message: &BagMessage) -> Result<(), String> {
     let topic = message.connection.topic.as_str();
     let in_words = |problem: &dyn std::fmt::Display| format!("{topic} at {}: {problem}", message.time);
     if topics.odometry.as_deref() == Some(topic) {
         let odometry = message.decode().map_err(|e| e.to_string())?;
-        app.on_odometry(&odometry).map_err(|e| in_words(&e))
+        listener.on_odometry(&odometry).map_err(|e| in_words(&e))
     } else {
         let transforms: TFMessage = message.decode().map_err(|e| e.to_string())?;
-        app.on_transforms(&transforms).map_err(|e| in_words(&e))
+        listener.on_transforms(&transforms).map_err(|e| in_words(&e))
     }
 }
 

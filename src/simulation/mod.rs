@@ -8,10 +8,9 @@
 //! how well any matcher could do there.
 
 pub mod built_in;
-pub mod distance;
 pub mod drive;
 pub mod driver;
-pub mod grid;
+pub mod grid_world;
 pub mod information;
 pub mod lidar;
 pub mod motion;

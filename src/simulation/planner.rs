@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use crate::geometry::Point;
 
-use super::grid::GridWorld;
+use super::grid_world::GridWorld;
 use super::world::World;
 
 /// Distance that the route keeps from every wall, m.

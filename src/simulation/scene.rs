@@ -4,9 +4,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use crate::geometry::Point;
+use crate::map::grid::OccupancyGrid;
 
 use super::built_in::BuiltIn;
-use super::grid::{GridWorld, OccupancyGrid};
+use super::grid_world::GridWorld;
 use super::planner::{self, MARGIN, NoLoop};
 use super::route::Route;
 use super::world::World;

@@ -7,6 +7,7 @@ mod evaluate;
 mod info;
 mod input_flags;
 mod knob_flags;
+mod localize;
 mod profile;
 mod profile_flags;
 mod progress;
@@ -31,6 +32,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Replay(replay_flags::Arguments),
+    Localize(localize::Arguments),
     Profile(profile_flags::Arguments),
     Info(info::Arguments),
     Simulate(simulate::Arguments),
@@ -41,6 +43,7 @@ enum Command {
 fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Replay(arguments) => replay::run(&arguments),
+        Command::Localize(arguments) => localize::run(&arguments),
         Command::Profile(arguments) => profile::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),

@@ -4,9 +4,6 @@ use thiserror::Error;
 
 use crate::geometry::{Point, Pose2, RigidTransform};
 
-use super::distance::DistanceField;
-use super::world::World;
-
 /// What is known of one cell of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cell {
@@ -45,6 +42,7 @@ pub struct OccupancyGrid {
     width: usize,
     height: usize,
     resolution: f64,
+    origin: Pose2,
     map_from_grid: RigidTransform,
     grid_from_map: RigidTransform,
     cells: Vec<Cell>,
@@ -65,7 +63,7 @@ impl OccupancyGrid {
             return Err(GridError::Origin(origin));
         }
         let (map_from_grid, grid_from_map) = (origin.transform(), origin.inverse().transform());
-        Ok(Self { width, height, resolution, map_from_grid, grid_from_map, cells })
+        Ok(Self { width, height, resolution, origin, map_from_grid, grid_from_map, cells })
     }
 
     /// Number of columns.
@@ -102,6 +100,17 @@ impl OccupancyGrid {
     /// Column and row of a point of the map frame, with fractions.
     pub fn coordinates(&self, point: Point) -> Point {
         self.grid_from_map.apply(point) / self.resolution
+    }
+
+    /// A pose of the map frame seen from the grid: column and row with fractions, and the heading from the rows' direction.
+    pub fn pose_in_cells(&self, map_pose: &Pose2) -> Pose2 {
+        let cell = self.coordinates(map_pose.translation());
+        Pose2::new(cell.x, cell.y, map_pose.theta - self.origin.theta)
+    }
+
+    /// The pose of the map frame that [`Self::pose_in_cells`] makes `pose` of.
+    pub fn pose_in_map(&self, pose: &Pose2) -> Pose2 {
+        self.origin * Pose2::new(pose.x * self.resolution, pose.y * self.resolution, pose.theta)
     }
 
     /// Distance from `origin` along the unit vector `direction` to the first occupied cell that the ray enters, m; `None` if there
@@ -150,39 +159,5 @@ impl Walk {
         self.cell = self.cell.saturating_add(self.step);
         self.next += self.stride;
         entered
-    }
-}
-
-/// A map to drive in: the grid with the clearance of every cell.
-#[derive(Clone, Debug)]
-pub struct GridWorld {
-    grid: OccupancyGrid,
-    clearance: DistanceField,
-}
-
-impl GridWorld {
-    /// Computes the clearances. What is not known to be free counts as a wall for them.
-    pub fn new(grid: OccupancyGrid) -> Self {
-        let clearance = DistanceField::new(grid.width(), grid.cells().iter().map(|&cell| cell != Cell::Free));
-        Self { grid, clearance }
-    }
-
-    /// The map.
-    pub fn grid(&self) -> &OccupancyGrid {
-        &self.grid
-    }
-}
-
-impl World for GridWorld {
-    fn range(&self, origin: Point, direction: Point, max: f64) -> Option<f64> {
-        self.grid.range(origin, direction, max)
-    }
-
-    #[allow(clippy::cast_possible_truncation)] // saturates: far outside any map
-    fn clearance(&self, point: Point) -> f64 {
-        let cell = self.grid.coordinates(point);
-        let centres = self.clearance.at(cell.x.floor() as i64, cell.y.floor() as i64);
-        // From centre to centre; the point and the wall may each be half a diagonal nearer.
-        (centres - std::f64::consts::SQRT_2).max(0.0) * self.grid.resolution()
     }
 }

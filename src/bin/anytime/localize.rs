@@ -1,0 +1,125 @@
+//! `anytime localize`.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use anytime_scan_matcher::anytime::clock::MonotonicClock;
+use anytime_scan_matcher::app::MountSource;
+use anytime_scan_matcher::app::localizer::Localizer;
+use anytime_scan_matcher::evaluation::association::associate;
+use anytime_scan_matcher::evaluation::report::Comparison;
+use anytime_scan_matcher::evaluation::trajectory::Trajectory;
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::io::map_file;
+use anytime_scan_matcher::io::tum::TumWriter;
+use anytime_scan_matcher::replay::localize::{BeliefFile, LocalizationSummary, errors, localize};
+use anytime_scan_matcher::replay::{Topics, truth};
+use clap::Args;
+
+use crate::configuration::Configuration;
+use crate::progress;
+
+/// Find the robot of a bag on a map, by a particle filter
+#[derive(Args)]
+pub(crate) struct Arguments {
+    bag: PathBuf,
+    /// The map: a YAML file of `map_server`
+    #[arg(long, value_name = "M.yaml")]
+    map: PathBuf,
+    /// Number of particles [default: `localization.particles`]
+    #[arg(long)]
+    particles: Option<u32>,
+    /// Nothing is known of where the robot starts
+    #[arg(long, conflicts_with = "initial_pose")]
+    global: bool,
+    /// Where the robot starts, m and rad [default: the first true pose; without a truth, the origin of the map]
+    #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
+    initial_pose: Option<Pose2>,
+    /// True poses on the map to compare with: a TUM file, or a topic of the bag
+    #[arg(long, value_name = "FILE|TOPIC")]
+    truth: Option<String>,
+    /// Topic of the laser scans
+    #[arg(long, default_value = "/scan")]
+    scan_topic: String,
+    /// Topic of the wheel odometry [default: /odom, if the bag has it]
+    #[arg(long)]
+    odom_topic: Option<String>,
+    /// Write the pose of every scan; `anytime profile` takes it for a truth
+    #[arg(long, value_name = "OUT.tum")]
+    tum: Option<PathBuf>,
+    /// Write a line of figures for every scan
+    #[arg(long, value_name = "OUT.csv")]
+    csv: Option<PathBuf>,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    configuration: Configuration,
+}
+
+fn pose(text: &str) -> Result<Pose2, String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+    match numbers.as_deref() {
+        Ok(&[x, y, yaw]) if [x, y, yaw].iter().all(|number| number.is_finite()) => Ok(Pose2::new(x, y, yaw)),
+        _ => Err("expected x,y,yaw in metres and radians, such as 1.5,-2,3.14".into()),
+    }
+}
+
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
+    let mut config = arguments.configuration.load()?;
+    if let Some(particles) = arguments.particles {
+        config.set("localization.particles", &particles.into(), "--particles")?;
+    }
+    let bag = Bag::open(&arguments.bag)?;
+    let topics = Topics::resolve(&bag, &arguments.scan_topic, arguments.odom_topic.as_deref())?;
+    let truth = arguments.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
+    let mut localizer = Localizer::new(map_file::read(&arguments.map)?, &config)?;
+    if !arguments.global {
+        let first_truth = truth.as_ref().map(|truth| truth.ends().0.pose);
+        localizer.start_at(&arguments.initial_pose.or(first_truth).unwrap_or_default(), None);
+    }
+    let mut tum = arguments.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
+    let mut csv = arguments.csv.as_deref().map(create).transpose()?.map(BeliefFile::new).transpose()?;
+    let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
+    let mut summary = LocalizationSummary::default();
+    let tick = || progress.inc(1);
+    let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &MonotonicClock::default(), tick, |answer| {
+        if let (Some(pose), Some(tum)) = (summary.add(answer), &mut tum) {
+            tum.write(&pose).context("cannot write the trajectory")?;
+        }
+        if let Some(csv) = &mut csv {
+            csv.write(answer).context("cannot write the CSV file")?;
+        }
+        Ok(())
+    })?;
+    progress.finish_and_clear();
+    if summary.poses().is_empty() {
+        bail!("{}: no scan on {} could be used", arguments.bag.display(), topics.scan);
+    }
+    let trajectory = Trajectory::new(summary.poses().to_vec())?;
+    let matched = truth.map(|truth| associate(&trajectory, &truth, Comparison::default().max_dt)).transpose()?;
+    let errors = matched.and_then(|matched| errors(&matched));
+    let mut problems: Vec<String> = bag.problems().iter().map(ToString::to_string).chain(log.problems).collect();
+    problems.extend(reservations(&localizer));
+    Ok(if arguments.json {
+        summary.to_json(errors.as_ref(), &problems).to_string()
+    } else {
+        summary.to_text(errors.as_ref(), &problems)
+    })
+}
+
+/// What the user should know, each with its remedy.
+fn reservations(localizer: &Localizer) -> Vec<String> {
+    let assumed = (localizer.mount().1 == MountSource::Assumed).then(|| {
+        "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)".into()
+    });
+    let blind = localizer.without_odometry();
+    let guessed = (blind > 0).then(|| format!("{blind} scans predicted at constant velocity: no odometry covers them"));
+    assumed.into_iter().chain(guessed).collect()
+}
+
+fn create(path: &Path) -> anyhow::Result<File> {
+    File::create(path).with_context(|| format!("cannot create {}", path.display()))
+}

@@ -1,0 +1,70 @@
+//! One pose out of many: the mean of the heaviest cluster.
+
+use std::collections::HashMap;
+
+use super::particles::Particles;
+use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
+
+/// A cloud wider than this (standard deviation, m) may be several.
+const COMPACT: f64 = 0.5;
+/// Side of the bins in which the heaviest cluster is looked for: m, rad.
+const BIN: (f32, f32) = (0.5, 0.35);
+/// Particles this near belong to it: m, rad.
+const CLUSTER: (f32, f32) = (1.0, 0.6);
+
+/// The estimate in the grid: cells and rad.
+pub(super) struct Mean {
+    pub(super) pose: Pose2,
+    /// Of x, y and heading: m^2, m rad, rad^2, along the grid.
+    pub(super) covariance: PoseCovariance,
+    /// Part of the weight it stands for.
+    pub(super) share: f64,
+}
+
+/// The mean of all particles while they are together, else of the heaviest cluster.
+pub(super) fn mean(particles: &Particles, weights: &[f32], resolution: f64) -> Mean {
+    let all = mean_of(particles, weights, resolution, |_| true);
+    if all.covariance.m11 + all.covariance.m22 < COMPACT * COMPACT {
+        return all;
+    }
+    let per_cell = resolution as f32;
+    let mut bins: HashMap<(i32, i32, i32), f64> = HashMap::new();
+    let bin_of = |[x, y, theta]: [f32; 3]| {
+        let bin = |value: f32, size: f32| (value / size).floor() as i32;
+        (bin(x * per_cell, BIN.0), bin(y * per_cell, BIN.0), bin(theta, BIN.1))
+    };
+    for (index, &weight) in weights.iter().enumerate() {
+        *bins.entry(bin_of(particles.pose(index))).or_default() += f64::from(weight);
+    }
+    // Of equals the first in order, not in the map's order.
+    let heaviest = bins.iter().max_by(|a, b| a.1.total_cmp(b.1).then_with(|| b.0.cmp(a.0))).map(|(bin, _)| *bin);
+    let seed = mean_of(particles, weights, resolution, |pose| Some(bin_of(pose)) == heaviest).pose;
+    mean_of(particles, weights, resolution, |[x, y, theta]| {
+        let near = (x - seed.x as f32).hypot(y - seed.y as f32) * per_cell < CLUSTER.0;
+        near && wrap_angle(f64::from(theta) - seed.theta).abs() < CLUSTER.1.into()
+    })
+}
+
+fn mean_of(particles: &Particles, weights: &[f32], resolution: f64, belongs: impl Fn([f32; 3]) -> bool) -> Mean {
+    let total: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
+    let members = || {
+        let all = weights.iter().enumerate().map(|(index, &weight)| (f64::from(weight), particles.pose(index)));
+        all.filter(|(weight, pose)| *weight > 1e-6 && belongs(*pose))
+    };
+    let (mut mass, mut sums) = (0.0, [0.0; 4]);
+    for (weight, [x, y, theta]) in members() {
+        let (sin, cos) = f64::from(theta).sin_cos();
+        mass += weight;
+        for (sum, value) in sums.iter_mut().zip([f64::from(x), f64::from(y), cos, sin]) {
+            *sum += weight * value;
+        }
+    }
+    let pose = Pose2::new(sums[0] / mass, sums[1] / mass, sums[3].atan2(sums[2]));
+    let mut covariance = PoseCovariance::zeros();
+    for (weight, [x, y, theta]) in members() {
+        let (dx, dy) = ((f64::from(x) - pose.x) * resolution, (f64::from(y) - pose.y) * resolution);
+        let off = nalgebra::Vector3::new(dx, dy, wrap_angle(f64::from(theta) - pose.theta));
+        covariance += (weight / mass) * off * off.transpose();
+    }
+    Mean { pose, covariance, share: mass / total }
+}

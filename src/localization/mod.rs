@@ -1,0 +1,52 @@
+//! A particle filter: where a robot is on a map (Monte Carlo localization; Dellaert et al., 1999).
+//!
+//! [`filter::ParticleFilter`] is moved by [`motion`] and corrected by an [`observation`] through the beam model of [`sensor`]. It
+//! keeps to its seed: the same calls give the same answers, bit for bit, on any number of threads.
+
+#![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // particles live in single precision, within the map
+
+mod estimate;
+pub mod filter;
+pub mod motion;
+pub mod observation;
+mod particles;
+mod recovery;
+mod resampling;
+pub mod sensor;
+mod streams;
+
+use crate::raycasting::RayCasting;
+
+crate::knobs! {
+    /// The particle filter.
+    pub struct LocalizationKnobs {
+        /// The frame of the map.
+        map_frame: String = "map".into();
+        /// Particles, when the robot knows where it is.
+        particles: u32 = 4000, in 10 to 1_000_000;
+        /// While the cloud is compact, as few as this will do (KLD sampling); unset: always `particles`.
+        min_particles: Option<u32> = None, in 10 to 1_000_000;
+        /// Particles to begin with when the robot may be anywhere; their number falls as the cloud contracts (KLD sampling).
+        global_particles: u32 = 100_000, in 100 to 10_000_000;
+        /// KLD sampling: bound on the error of the distribution.
+        kld_error: f64 = 0.05, in 0.001 to 1;
+        /// Resample when the effective number of particles falls below this part of them.
+        resample_below: f64 = 0.5, in 0 to 1;
+        /// A scan that would leave a smaller part of the particles effective is believed less, until it leaves so many.
+        least_effective: f64 = 0.02, in 0 to 0.5;
+        /// The same while the robot may be anywhere: no place is given up in haste.
+        global_least_effective: f64 = 0.1, in 0 to 0.5;
+        /// Particles are thrown over the whole map when the scans fit worse than this part of what they use to; 0: never.
+        recover_below: f64 = 0.7, in 0 to 1;
+        /// How far an initial pose without covariance may be off.
+        initial_position_error: f64 = 0.3, in 0 to 100, unit "m";
+        /// How far its heading may be off.
+        initial_heading_error: f64 = 10.0, in 0 to 180, unit "deg";
+        /// How the lengths of beams are found.
+        ray_casting: RayCasting = RayCasting::Cddt;
+        /// Threads; 0: one for each core. The answer does not depend on it.
+        threads: u32 = 0, in 0 to 256;
+        /// Another seed: other random numbers.
+        seed: u32 = 1;
+    }
+}

@@ -1,0 +1,52 @@
+//! The cloud of particles, a structure of arrays: each step streams through the few it needs.
+
+/// Poses of the base in the grid, with their weights.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Particles {
+    /// Columns, with fractions.
+    pub(super) x: Vec<f32>,
+    /// Rows, with fractions.
+    pub(super) y: Vec<f32>,
+    /// Headings, rad.
+    pub(super) theta: Vec<f32>,
+    /// Logarithms of the weights, up to a constant.
+    pub(super) log_weight: Vec<f32>,
+}
+
+impl Particles {
+    pub(super) fn len(&self) -> usize {
+        self.x.len()
+    }
+
+    pub(super) fn push(&mut self, [x, y, theta]: [f32; 3], log_weight: f32) {
+        self.x.push(x);
+        self.y.push(y);
+        self.theta.push(theta);
+        self.log_weight.push(log_weight);
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.x.clear();
+        self.y.clear();
+        self.theta.clear();
+        self.log_weight.clear();
+    }
+
+    pub(super) fn pose(&self, index: usize) -> [f32; 3] {
+        [self.x[index], self.y[index], self.theta[index]]
+    }
+
+    /// The weights, the largest of them 1.
+    pub(super) fn weights(&self, weights: &mut Vec<f32>) {
+        let largest = self.log_weight.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        weights.clear();
+        weights.extend(self.log_weight.iter().map(|log_weight| (log_weight - largest).exp()));
+    }
+}
+
+/// How many particles of equal weight would say as much (Kish).
+pub(super) fn effective_number(weights: &[f32]) -> f64 {
+    let (sum, squares) =
+        weights.iter().map(|&weight| f64::from(weight)).fold((0.0, 0.0), |(sum, squares), w| (sum + w, squares + w * w));
+    if squares > 0.0 { sum * sum / squares } else { 0.0 }
+}

@@ -1,0 +1,35 @@
+//! Random numbers that do not depend on which thread asks for them: every chunk of particles has its own stream at every step.
+
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+
+/// Particles that are worked on together.
+pub(super) const CHUNK: usize = 256;
+
+/// Counts the steps of a filter, each of which has its own streams.
+#[derive(Clone, Debug)]
+pub(super) struct Streams {
+    seed: u64,
+    step: u64,
+}
+
+impl Streams {
+    pub(super) fn new(seed: u32) -> Self {
+        Self { seed: seed.into(), step: 0 }
+    }
+
+    /// The streams of the next step: a function from the number of the chunk.
+    pub(super) fn next(&mut self) -> impl Fn(usize) -> Pcg64Mcg + Sync + use<> {
+        self.step += 1;
+        let (seed, step) = (self.seed, self.step);
+        move |chunk| Pcg64Mcg::seed_from_u64(mix(mix(mix(seed) ^ step) ^ chunk as u64))
+    }
+}
+
+/// Spreads the difference of two numbers over all bits (`splitmix64`; Steele et al., 2014).
+fn mix(number: u64) -> u64 {
+    let z = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}

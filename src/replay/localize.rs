@@ -1,0 +1,206 @@
+//! A bag through the particle filter, and what came of it.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::io::Write;
+use std::time::Duration;
+
+use comfy_table::{Table, presets};
+use serde_json::{Value, json};
+
+use super::{ReplayLog, Topics, feed, microseconds};
+use crate::anytime::clock::Clock;
+use crate::app::localizer::{Localizer, NoEvidence};
+use crate::evaluation::association::MatchedPose;
+use crate::evaluation::statistics::{PoseErrors, percentile};
+use crate::evaluation::trajectory::StampedPose;
+use crate::io::bag::{Bag, BagError};
+use crate::localization::filter::Belief;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::time::Stamp;
+
+/// What the filter made of a scan.
+#[derive(Clone, Debug)]
+pub struct Localized {
+    /// The scan's stamp.
+    pub stamp: Stamp,
+    /// The belief, or why the scan was of no use.
+    pub belief: Result<Belief, NoEvidence>,
+    /// How long it took.
+    pub elapsed: Duration,
+}
+
+/// Localizes a robot by a bag. `on_answer` gets the answer to each scan; `on_message` is called for every message read. An error of
+/// `on_answer` ends the replay.
+pub fn localize<E: From<BagError>>(
+    bag: &Bag,
+    topics: &Topics,
+    localizer: &mut Localizer,
+    clock: &dyn Clock,
+    on_message: impl FnMut(),
+    mut on_answer: impl FnMut(&Localized) -> Result<(), E>,
+) -> Result<ReplayLog, E> {
+    feed(bag, topics, localizer, on_message, |message, localizer, log| {
+        match message.decode::<LaserScan>() {
+            Ok(scan) => {
+                let arrival = clock.now();
+                let belief = localizer.on_scan(&scan);
+                let elapsed = clock.now().saturating_sub(arrival);
+                on_answer(&Localized { stamp: scan.header.stamp.into(), belief, elapsed })?;
+            }
+            Err(error) => log.note(&error),
+        }
+        Ok(())
+    })
+}
+
+const HEADER: [&str; 12] = [
+    "stamp",
+    "x_m",
+    "y_m",
+    "theta_rad",
+    "sigma_x_m",
+    "sigma_y_m",
+    "sigma_theta_rad",
+    "share",
+    "particles",
+    "effective",
+    "fit",
+    "elapsed_us",
+];
+
+/// Writes beliefs as CSV.
+pub struct BeliefFile<W: Write> {
+    writer: csv::Writer<W>,
+}
+
+impl<W: Write> BeliefFile<W> {
+    /// Writes the header.
+    pub fn new(sink: W) -> csv::Result<Self> {
+        let mut writer = csv::Writer::from_writer(sink);
+        writer.write_record(HEADER)?;
+        Ok(Self { writer })
+    }
+
+    /// Writes the line of one scan; a scan that was of no use has none.
+    pub fn write(&mut self, answer: &Localized) -> csv::Result<()> {
+        let Ok(belief) = &answer.belief else { return Ok(()) };
+        let pose = &belief.map_from_base;
+        let mut record = vec![answer.stamp.to_string()];
+        record.extend([pose.x, pose.y, pose.theta].map(|value| format!("{value:.9}")));
+        record.extend([0, 1, 2].map(|i| format!("{:.6}", belief.covariance[(i, i)].max(0.0).sqrt())));
+        record.push(format!("{:.4}", belief.share));
+        record.push(belief.particles.to_string());
+        record.extend([format!("{:.1}", belief.effective), format!("{:.5}", belief.fit)]);
+        record.push(format!("{:.3}", microseconds(answer.elapsed)));
+        self.writer.write_record(record)?;
+        Ok(self.writer.flush()?)
+    }
+}
+
+/// Collects the answers of a replay.
+#[derive(Clone, Debug, Default)]
+pub struct LocalizationSummary {
+    poses: Vec<StampedPose>,
+    elapsed: Vec<Duration>,
+    localized: usize,
+    /// Stamp of the first scan after which the robot knew where it was.
+    found: Option<Stamp>,
+    particles: usize,
+    effective: f64,
+    useless: BTreeMap<String, usize>,
+}
+
+impl LocalizationSummary {
+    /// Takes an answer; tells its pose, if it has one.
+    pub fn add(&mut self, answer: &Localized) -> Option<StampedPose> {
+        match &answer.belief {
+            Ok(belief) => {
+                let pose = StampedPose { stamp: answer.stamp, pose: belief.map_from_base };
+                self.poses.push(pose);
+                self.elapsed.push(answer.elapsed);
+                if belief.is_localized() {
+                    self.localized += 1;
+                    self.found.get_or_insert(answer.stamp);
+                }
+                self.particles += belief.particles;
+                self.effective += belief.effective;
+                Some(pose)
+            }
+            Err(problem) => {
+                let kind = problem.to_string();
+                *self.useless.entry(kind.split(':').next().unwrap_or_default().to_owned()).or_default() += 1;
+                None
+            }
+        }
+    }
+
+    /// The trajectory of the base on the map.
+    pub fn poses(&self) -> &[StampedPose] {
+        &self.poses
+    }
+
+    fn means(&self) -> (f64, f64) {
+        let scans = self.poses.len().max(1) as f64;
+        (self.particles as f64 / scans, self.effective / scans)
+    }
+
+    fn times(&self) -> [f64; 3] {
+        let mut sorted = self.elapsed.clone();
+        sorted.sort_unstable();
+        [50, 99, 100].map(|percent| percentile(&sorted, percent).map_or(0.0, microseconds))
+    }
+
+    fn seconds_to_find(&self) -> Option<f64> {
+        self.found.zip(self.poses.first()).map(|(found, first)| found.seconds_since(first.stamp))
+    }
+
+    /// One JSON object. `errors` are those against the truth, in the map: nothing is aligned.
+    pub fn to_json(&self, errors: Option<&PoseErrors>, problems: &[String]) -> Value {
+        let ([p50, p99, max], (particles, effective)) = (self.times(), self.means());
+        json!({
+            "scans": self.poses.len(),
+            "localized": self.localized,
+            "localized_after_s": self.seconds_to_find(),
+            "mean_particles": particles,
+            "mean_effective_particles": effective,
+            "time_us": {"p50": p50, "p99": p99, "max": max},
+            "position_rmse_m": errors.map(|errors| errors.trans_m.rmse),
+            "position_max_m": errors.map(|errors| errors.trans_m.max),
+            "heading_rmse_deg": errors.map(|errors| errors.rot_deg.rmse),
+            "heading_max_deg": errors.map(|errors| errors.rot_deg.max),
+            "useless_scans": self.useless,
+            "problems": problems,
+        })
+    }
+
+    /// A table for people.
+    pub fn to_text(&self, errors: Option<&PoseErrors>, problems: &[String]) -> String {
+        let ([p50, p99, max], (particles, effective)) = (self.times(), self.means());
+        let mut table = Table::new();
+        table.load_style(presets::NOTHING);
+        table.add_row(["scans", &self.poses.len().to_string()]);
+        for (kind, count) in &self.useless {
+            table.add_row(["not used", &format!("{count}: {kind}")]);
+        }
+        let found = self.seconds_to_find().map_or("never".into(), |seconds| format!("after {seconds:.2} s"));
+        table.add_row(["localized", &format!("{} scans, first {found}", self.localized)]);
+        table.add_row(["particles", &format!("{particles:.0}, {effective:.0} of them effective")]);
+        table.add_row(["time per scan", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
+        if let Some(PoseErrors { trans_m, rot_deg, .. }) = errors {
+            table.add_row(["position error", &format!("RMSE {:.4} m, max {:.4} m", trans_m.rmse, trans_m.max)]);
+            table.add_row(["heading error", &format!("RMSE {:.4} deg, max {:.4} deg", rot_deg.rmse, rot_deg.max)]);
+        }
+        let mut text = format!("{table}\n");
+        for problem in problems {
+            let _ = writeln!(text, "note: {problem}");
+        }
+        text
+    }
+}
+
+/// Errors in the map, without aligning the trajectories; `None` when there are none.
+pub fn errors(matched: &[MatchedPose]) -> Option<PoseErrors> {
+    let errors: Vec<_> = matched.iter().map(|matched| matched.truth.between(&matched.estimate)).collect();
+    PoseErrors::of(&errors)
+}

@@ -1,0 +1,242 @@
+//! The particle filter on simulated drives through real maps.
+#![allow(missing_docs, clippy::unwrap_used, clippy::print_stderr, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::convert::Infallible;
+use std::time::{Duration, Instant};
+
+use anytime_scan_matcher::app::localizer::{Localizer, NoEvidence};
+use anytime_scan_matcher::config::Config;
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::io::map_file;
+use anytime_scan_matcher::knobs::Seconds;
+use anytime_scan_matcher::localization::filter::Belief;
+use anytime_scan_matcher::map::grid::{Cell, OccupancyGrid};
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
+use anytime_scan_matcher::simulation::scene::Scene;
+use anytime_scan_matcher::time::Stamp;
+use common::shared;
+
+/// A rectangular corridor with some niches, so that its four sides differ.
+fn corridor() -> OccupancyGrid {
+    let wall = |x: usize, y: usize| {
+        let outside = x == 0 || y == 0 || x == 399 || y == 299;
+        let block = (60..340).contains(&x) && (60..240).contains(&y);
+        let niche = (100..130).contains(&x) && (60..80).contains(&y) || (320..340).contains(&x) && (150..200).contains(&y);
+        let crate_ = (200..212).contains(&x) && (285..299).contains(&y) || x < 12 && (90..100).contains(&y);
+        outside || block && !niche || crate_
+    };
+    let cells = (0..400 * 300).map(|i| if wall(i % 400, i / 400) { Cell::Occupied } else { Cell::Free }).collect();
+    OccupancyGrid::new(400, 0.05, Pose2::new(-4.0, 2.0, 0.0), cells).unwrap()
+}
+
+fn map(name: &str) -> Option<OccupancyGrid> {
+    Some(map_file::read(&shared(&format!("data/maps/{name}.yaml"))?).unwrap())
+}
+
+/// A drive: its messages are made as they are asked for.
+struct Drive {
+    seed: u32,
+    seconds: f64,
+    rate: f64,
+}
+
+/// What came of a drive.
+#[derive(Default)]
+struct Outcome {
+    /// For each scan the error of the belief, and the belief.
+    answers: Vec<(Pose2, Belief)>,
+    metres: f64,
+    times: Vec<Duration>,
+}
+
+impl Outcome {
+    /// Root mean square of the position's error, m, and of the heading's, deg, after the first `skip` scans.
+    fn rmse(&self, skip: usize) -> (f64, f64) {
+        let errors: Vec<_> = self.answers.iter().skip(skip).map(|(error, _)| *error).collect();
+        let root = |of: fn(&Pose2) -> f64| (errors.iter().map(|e| of(e).powi(2)).sum::<f64>() / errors.len() as f64).sqrt();
+        (root(Pose2::distance), root(|error| error.theta.to_degrees()))
+    }
+
+    fn time(&mut self, percent: usize) -> Duration {
+        self.times.sort_unstable();
+        self.times[(self.times.len() - 1) * percent / 100]
+    }
+
+    /// Whether the last second of the drive was spent where the robot was.
+    fn converged(&self, rate: f64) -> bool {
+        let last = self.answers.len().saturating_sub(rate as usize);
+        self.answers[last..]
+            .iter()
+            .all(|(error, belief)| error.distance() < 0.3 && error.theta.abs() < 0.1 && belief.is_localized())
+    }
+}
+
+/// Drives one after the other, between which the robot is carried off; `prepare` is called before the first scan.
+fn run(map: &OccupancyGrid, drives: &[Drive], config: &Config, prepare: impl FnOnce(&mut Localizer, Pose2)) -> Outcome {
+    let mut localizer = Localizer::new(map.clone(), config).unwrap();
+    let (mut prepare, mut outcome) = (Some(prepare), Outcome::default());
+    for (number, drive) in drives.iter().enumerate() {
+        let later = number as f64 * (drive.seconds + 1.0);
+        let scene = Scene::in_map(map.clone(), drive.seed).unwrap();
+        let mut settings = Settings::default();
+        settings.drive.duration = Seconds(drive.seconds);
+        settings.drive.seed = drive.seed;
+        settings.lidar.rate = drive.rate;
+        let (mut truth, mut last_truth) = (BTreeMap::new(), None::<Pose2>);
+        // As the node does, a scan is held until the odometry for it has come.
+        let mut held: Option<LaserScan> = None;
+        simulate::<Infallible>(&settings, &scene, |_, message| {
+            match message {
+                SimulatedMessage::Mount(mount) => localizer.on_transforms(&mount).unwrap(),
+                SimulatedMessage::Odometry(mut odometry) => {
+                    odometry.header.stamp = Stamp::from(odometry.header.stamp).offset_by(later).into();
+                    localizer.on_odometry(&odometry).unwrap();
+                }
+                SimulatedMessage::Truth { stamp, map_from_base } => {
+                    outcome.metres +=
+                        last_truth.replace(map_from_base).map_or(0.0, |last| last.between(&map_from_base).distance());
+                    if let Some(prepare) = prepare.take() {
+                        prepare(&mut localizer, map_from_base);
+                    }
+                    truth.insert(stamp.offset_by(later), map_from_base);
+                }
+                SimulatedMessage::Scan(mut scan) => {
+                    scan.header.stamp = Stamp::from(scan.header.stamp).offset_by(later).into();
+                    held = Some(scan);
+                }
+            }
+            if let Some(scan) = held.take_if(|scan| localizer.wait_for_odometry(scan.header.stamp.into()).is_none()) {
+                let start = Instant::now();
+                let belief = localizer.on_scan(&scan).unwrap();
+                outcome.times.push(start.elapsed());
+                let true_pose = truth[&scan.header.stamp.into()];
+                let (x, y) = (belief.map_from_base.x - true_pose.x, belief.map_from_base.y - true_pose.y);
+                let error = Pose2::new(x, y, belief.map_from_base.theta - true_pose.theta);
+                outcome.answers.push((error, belief));
+            }
+            Ok(())
+        })
+        .unwrap();
+    }
+    outcome
+}
+
+fn at_truth(localizer: &mut Localizer, pose: Pose2) {
+    localizer.start_at(&(pose * Pose2::new(0.1, -0.1, 0.05)), None);
+}
+
+fn tracks(map: &OccupancyGrid, name: &str, seconds: f64, metres: f64, threads: u32) {
+    let mut config = Config::default();
+    config.localization.threads = threads;
+    let mut outcome = run(map, &[Drive { seed: 3, seconds, rate: 40.0 }], &config, at_truth);
+    let (position, heading) = outcome.rmse(40);
+    let times = [50, 99, 100].map(|percent| outcome.time(percent));
+    let effective = outcome.answers.iter().map(|(_, belief)| belief.effective).sum::<f64>() / outcome.answers.len() as f64;
+    eprintln!(
+        "{name}: {:.0} m, position {position:.4} m, heading {heading:.3} deg, effective {effective:.0}; update p50, p99, max {times:?}",
+        outcome.metres
+    );
+    assert!(outcome.metres >= metres && position < 0.05 && heading < 0.5);
+}
+
+#[test]
+fn a_drive_is_tracked() {
+    tracks(&corridor(), "made-up corridor", 25.0, 40.0, 0);
+}
+
+#[test]
+#[ignore = "half a minute for each map"]
+fn long_drives_on_real_maps_are_tracked() {
+    for name in ["levine", "columbia", "skirk"] {
+        let Some(map) = map(name) else { return };
+        tracks(&map, name, 85.0, 200.0, 1);
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_belief_on_any_number_of_threads() {
+    let map = corridor();
+    let beliefs = |threads: u32, seed: u32| {
+        let mut config = Config::default();
+        config.set_yaml(&format!("localization: {{threads: {threads}, seed: {seed}, global_particles: 20000}}"), "test").unwrap();
+        let outcome = run(&map, &[Drive { seed: 1, seconds: 1.5, rate: 20.0 }], &config, |_, _| {});
+        outcome.answers.into_iter().map(|(_, belief)| belief).collect::<Vec<_>>()
+    };
+    let one = beliefs(1, 1);
+    assert!(one == beliefs(1, 1) && one == beliefs(3, 1));
+    assert!(one != beliefs(1, 2));
+}
+
+/// The share of tries from global uncertainty that end at the robot.
+fn share_found(map: &OccupancyGrid, name: &str, tries: u32, seconds: f64) -> f64 {
+    let rate = 10.0;
+    let found = (1..=tries).filter(|&seed| {
+        let mut config = Config::default();
+        config.localization.seed = seed;
+        let outcome = run(map, &[Drive { seed, seconds, rate }], &config, |_, _| {});
+        let converged = outcome.converged(rate);
+        if !converged {
+            let (error, belief) = outcome.answers.last().unwrap();
+            eprintln!("{name}, seed {seed}: {error:?}, {belief:?}");
+        }
+        converged
+    });
+    let share = found.count() as f64 / f64::from(tries);
+    eprintln!("{name}: a share of {share} of {tries} tries found the robot within {seconds} s");
+    share
+}
+
+#[test]
+fn the_robot_is_found_wherever_it_is() {
+    assert!(share_found(&corridor(), "made-up corridor", 3, 20.0) > 0.99);
+}
+
+#[test]
+#[ignore = "some minutes"]
+fn the_robot_is_found_on_real_maps() {
+    for name in ["levine", "columbia"] {
+        let Some(map) = map(name) else { return };
+        assert!(share_found(&map, name, 40, 45.0) >= 0.95);
+    }
+}
+
+#[test]
+fn a_kidnapped_robot_is_found_again() {
+    let rate = 10.0;
+    let drives = [2, 5].map(|seed| Drive { seed, seconds: 20.0, rate });
+    let outcome = run(&corridor(), &drives, &Config::default(), at_truth);
+    let (before, after) = (&outcome.answers[190], &outcome.answers[205]);
+    assert!(before.0.distance() < 0.2 && after.0.distance() > 1.0, "{before:?} {after:?}");
+    assert!(outcome.converged(rate), "{:?}", outcome.answers.last());
+}
+
+#[test]
+fn nothing_is_evidence_twice_and_bad_scans_change_nothing() {
+    let map = corridor();
+    let mut localizer = Localizer::new(map.clone(), &Config::default()).unwrap();
+    let scene = Scene::in_map(map, 1).unwrap();
+    let mut scans = Vec::new();
+    simulate::<()>(&Settings::default(), &scene, |_, message| match message {
+        SimulatedMessage::Scan(scan) => {
+            scans.push(scan);
+            if scans.len() == 3 { Err(()) } else { Ok(()) }
+        }
+        _ => Ok(()),
+    })
+    .unwrap_err();
+    localizer.on_scan(&scans[1]).unwrap();
+    let poses: Vec<_> = localizer.filter().poses().collect();
+    assert_eq!(localizer.on_scan(&scans[1]), Err(NoEvidence::NotNewer));
+    assert_eq!(localizer.on_scan(&scans[0]), Err(NoEvidence::NotNewer));
+    let mut broken = scans[2].clone();
+    broken.ranges.truncate(5);
+    assert!(matches!(localizer.on_scan(&broken), Err(NoEvidence::Malformed(_))));
+    assert!(poses.iter().eq(localizer.filter().poses().collect::<Vec<_>>().iter()));
+    // Outside the map nothing can be said, and nothing breaks.
+    localizer.start_at(&Pose2::new(1e4, -1e4, 0.0), None);
+    assert!(localizer.on_scan(&scans[2]).unwrap().map_from_base.is_finite());
+}
