@@ -6,36 +6,24 @@ use super::world::World;
 
 /// A straight thin wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Segment {
+struct Segment {
     from: Point,
     to: Point,
 }
 
 /// A round wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Circle {
-    pub(super) centre: Point,
-    pub(super) radius: f64,
+struct Circle {
+    centre: Point,
+    radius: f64,
 }
 
 /// Rays that pass an end of a segment by this part of its length still meet it, so that none slips through a corner.
 const OVERLAP: f64 = 1e-12;
 
-/// Corners of a rectangle of `length` by `width`; `placed` takes its centre and axes to where it stands.
-fn rectangle(placed: &RigidTransform, length: f64, width: f64) -> [Point; 4] {
-    let (x, y) = (0.5 * length, 0.5 * width);
-    [(x, y), (-x, y), (-x, -y), (x, -y)].map(|(x, y)| placed.apply(Point::new(x, y)))
-}
-
 impl Segment {
-    /// The sides of a rectangle of `length` by `width`; `placed` takes its centre and axes to where it stands.
-    pub(super) fn rectangle(placed: &RigidTransform, length: f64, width: f64) -> [Self; 4] {
-        let corners = rectangle(placed, length, width);
-        std::array::from_fn(|i| Self { from: corners[i], to: corners[(i + 1) % 4] })
-    }
-
     /// Solves `origin + t direction = from + u (to - from)` for t, with u in 0..1.
-    pub(super) fn range(&self, origin: Point, direction: Point) -> Option<f64> {
+    fn range(&self, origin: Point, direction: Point) -> Option<f64> {
         let along = self.to - self.from;
         let offset = self.from - origin;
         let determinant = direction.perp(&along);
@@ -54,7 +42,7 @@ impl Segment {
 
 impl Circle {
     /// Solves `|origin + t direction - centre| = radius` for the smallest t ahead; seen from inside that is the far side.
-    pub(super) fn range(&self, origin: Point, direction: Point) -> Option<f64> {
+    fn range(&self, origin: Point, direction: Point) -> Option<f64> {
         let offset = self.centre - origin;
         let middle = offset.dot(&direction);
         let miss = perpendicular(direction).dot(&offset);
@@ -92,7 +80,8 @@ impl Shapes {
     /// Adds a rectangle of `length` by `width`; `placed` takes its centre and axes to where it stands.
     #[must_use]
     pub fn block(self, placed: &RigidTransform, length: f64, width: f64) -> Self {
-        self.outline(&rectangle(placed, length, width))
+        let (x, y) = (0.5 * length, 0.5 * width);
+        self.outline(&[(x, y), (-x, y), (-x, -y), (x, -y)].map(|(x, y)| placed.apply(Point::new(x, y))))
     }
 
     /// Adds a circle.

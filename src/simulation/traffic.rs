@@ -10,7 +10,7 @@ use crate::knobs;
 
 use super::motion::{Motion, TICK};
 use super::route::Route;
-use super::shapes::{Circle, Segment};
+use super::shapes::Shapes;
 use super::world::World;
 
 knobs! {
@@ -107,27 +107,18 @@ impl Traffic {
     }
 
     /// The world as it is `seconds` after the start of the drive.
-    pub fn at<'a>(&'a self, world: &'a dyn World, seconds: f64) -> Moment<'a> {
-        Moment { traffic: self, world, seconds }
-    }
-
-    /// Distance along a ray to the nearest mover.
-    fn range(&self, origin: Point, direction: Point, seconds: f64) -> Option<f64> {
-        let (progress, car) = self.car_at(seconds)?;
-        let walkers = self.walkers.iter().filter_map(|walker| {
+    pub fn at<'a>(&self, world: &'a dyn World, seconds: f64) -> Moment<'a> {
+        let Some((progress, car)) = self.car_at(seconds) else { return Moment { world, movers: Shapes::default() } };
+        let movers = self.walkers.iter().fold(Shapes::default(), |movers, walker| {
             let place = self.lane.at(walker.start + walker.speed * seconds, walker.crossing.at(seconds), GIRTH);
-            let centre = car + aside(place.translation() - car);
-            Circle { centre, radius: GIRTH }.range(origin, direction)
+            movers.pillar(car + aside(place.translation() - car), GIRTH)
         });
-        let rivals = self.rivals.iter().filter_map(|rival| {
+        let movers = self.rivals.iter().fold(movers, |movers, rival| {
             let along = progress + rival.gap + rival.surge.at(seconds);
             let place = self.lane.at(along, rival.weave.at(seconds), RIVAL.1);
-            Segment::rectangle(&place.transform(), RIVAL.0, RIVAL.1)
-                .into_iter()
-                .filter_map(|side| side.range(origin, direction))
-                .min_by(f64::total_cmp)
+            movers.block(&place.transform(), RIVAL.0, RIVAL.1)
         });
-        walkers.chain(rivals).min_by(f64::total_cmp)
+        Moment { world, movers }
     }
 
     /// `None` when there is no traffic.
@@ -148,18 +139,15 @@ fn aside(way: Point) -> Point {
 }
 
 /// The walls and the traffic of one moment.
-#[derive(Clone, Copy)]
 pub struct Moment<'a> {
-    traffic: &'a Traffic,
     world: &'a dyn World,
-    seconds: f64,
+    movers: Shapes,
 }
 
 impl World for Moment<'_> {
     fn range(&self, origin: Point, direction: Point, max: f64) -> Option<f64> {
-        let mover = self.traffic.range(origin, direction, self.seconds).filter(|&range| range <= max);
-        let wall = self.world.range(origin, direction, max);
-        [mover, wall].into_iter().flatten().min_by(f64::total_cmp)
+        let ranges = [self.movers.range(origin, direction, max), self.world.range(origin, direction, max)];
+        ranges.into_iter().flatten().min_by(f64::total_cmp)
     }
 
     fn clearance(&self, point: Point) -> f64 {
