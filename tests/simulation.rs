@@ -1,5 +1,5 @@
 //! The simulator against closed forms, against oracles and against itself.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr, missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr, clippy::print_stdout, missing_docs)]
 
 use std::convert::Infallible;
 use std::f64::consts::PI;
@@ -29,6 +29,7 @@ use anytime_scan_matcher::simulation::random_world::RandomWorld;
 use anytime_scan_matcher::simulation::route::Route;
 use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::simulation::shapes::Shapes;
+use anytime_scan_matcher::simulation::traffic::{Traffic, TrafficKnobs};
 use anytime_scan_matcher::simulation::vehicle::{Drive, VehicleKnobs};
 use anytime_scan_matcher::simulation::world::World;
 use anytime_scan_matcher::time::Stamp;
@@ -177,7 +178,7 @@ fn corridor() -> Scene {
 fn scan_with(knobs: &LidarKnobs, seconds: f64) -> LaserScan {
     let scene = corridor();
     let motion = motion(&scene);
-    Lidar::new(knobs, Pcg64::seed_from_u64(5)).scan(scene.world.as_ref(), |after| motion.pose_at(seconds + after), START)
+    Lidar::new(knobs, Pcg64::seed_from_u64(5)).scan(|_| scene.world.as_ref(), |after| motion.pose_at(seconds + after), START)
 }
 
 #[test]
@@ -226,7 +227,7 @@ fn noise_and_rounding_are_as_asked() {
 #[test]
 fn a_slow_sweep_distorts_the_scan_of_a_moving_car_only() {
     let instant = LidarKnobs { noise: 0.0, ..LidarKnobs::default() };
-    let sweeping = LidarKnobs { time_increment: Seconds(2e-5), ..instant.clone() };
+    let sweeping = LidarKnobs { scan_duration: Seconds(0.0216), ..instant.clone() };
     assert_eq!(scan_with(&instant, 0.5).ranges, scan_with(&sweeping, 0.5).ranges);
     let (still, swept) = (scan_with(&instant, 4.0), scan_with(&sweeping, 4.0));
     let scene = corridor();
@@ -553,6 +554,80 @@ fn an_empty_hall_is_driven_in_circles() {
     let scene = Scene::in_map(hall, 1).unwrap();
     let poses = checked_drive(&scene.route, &VehicleKnobs::default(), 30.0);
     assert!(least_clearance(scene.world.as_ref(), &poses) > 0.3 && path_length(&poses) > 30.0);
+}
+
+#[test]
+fn the_demo_bag_is_a_drive_of_the_defaults_to_the_bit() {
+    let bag = Bag::open(Path::new(env!("CARGO_MANIFEST_DIR")).join("bags/demo.bag")).unwrap();
+    let mut settings = Settings::default();
+    settings.drive.duration = Seconds(10.0);
+    let recorded = bag.messages(None).flat_map(|message| {
+        let message = message.unwrap();
+        [message.time.nanoseconds().to_le_bytes().to_vec(), message.data].concat()
+    });
+    assert!(recorded.eq(bytes(&record(&settings, &corridor()))));
+}
+
+// ---- traffic ----
+
+/// The ranges of all scans of a drive of 20 s without noise.
+fn ranges_amid(traffic: TrafficKnobs, scan_duration: f64) -> Vec<f32> {
+    let mut settings = Settings { traffic, ..Settings::default() };
+    settings.lidar = LidarKnobs { beams: 271, rate: 10.0, noise: 0.0, scan_duration: Seconds(scan_duration), ..settings.lidar };
+    let scans = record(&settings, &corridor()).into_iter().filter_map(|(_, message)| match message {
+        SimulatedMessage::Scan(scan) => Some(scan.ranges),
+        _ => None,
+    });
+    scans.flatten().collect()
+}
+
+#[test]
+fn traffic_covers_more_rays_the_more_of_it_there_is_and_nothing_else_changes() {
+    let empty = ranges_amid(TrafficKnobs::default(), 0.0);
+    for (walkers, rivals, least) in [(10, 0, 0.02), (30, 0, 0.07), (0, 1, 0.05), (0, 4, 0.07), (60, 4, 0.2)] {
+        let ranges = ranges_amid(TrafficKnobs { walkers, rivals }, 0.0);
+        assert!(ranges == ranges_amid(TrafficKnobs { walkers, rivals }, 0.0));
+        assert!(ranges.iter().zip(&empty).all(|(amid, empty)| amid <= empty), "somebody is behind a wall");
+        let nearest = ranges.iter().copied().fold(f32::INFINITY, f32::min);
+        assert!(nearest > 0.15, "somebody is run over: {nearest}");
+        let covered = ranges.iter().zip(&empty).filter(|(amid, empty)| amid < empty).count();
+        let share = covered as f64 / empty.len() as f64;
+        println!("{walkers} walkers and {rivals} rivals cover {:.1} % of the rays", 100.0 * share);
+        assert!(share > least && share < 2.0 * least, "{share}");
+    }
+}
+
+#[test]
+fn people_and_rivals_move_no_faster_than_they_can() {
+    let scene = corridor();
+    let motion = motion(&scene);
+    let moved = |knobs: TrafficKnobs, seconds: f64, step: f64, fastest: f64| {
+        let traffic = Traffic::new(&knobs, &scene.route, scene.world.as_ref(), &motion, Pcg64::seed_from_u64(3));
+        // Whoever a ray meets head-on is nearly met a moment later.
+        let from = motion.pose_at(seconds).translation();
+        let seen = |at: f64, angle: f64| traffic.at(scene.world.as_ref(), at).range(from, direction(angle), 30.0).unwrap();
+        let nearest = |at: f64| (0..3600).map(|i| seen(at, f64::from(i) * PI / 1800.0)).fold(f64::INFINITY, f64::min);
+        assert!((nearest(seconds) - nearest(seconds + step)).abs() < fastest * step + 1e-3, "at {seconds}");
+    };
+    for tenths in 0..90 {
+        let seconds = 0.1 * f64::from(tenths);
+        moved(TrafficKnobs { walkers: 60, rivals: 0 }, seconds, 0.02, 6.0);
+        moved(TrafficKnobs { walkers: 0, rivals: 4 }, seconds, 0.02, 6.0);
+    }
+}
+
+#[test]
+fn what_moves_is_seen_where_it_is_when_its_ray_leaves() {
+    let traffic = TrafficKnobs { walkers: 40, rivals: 2 };
+    assert!(ranges_amid(traffic.clone(), 0.0) != ranges_amid(traffic.clone(), 0.05));
+    // At rest only what moves differs.
+    let first_second = |ranges: Vec<f32>| ranges[..271 * 9].to_vec();
+    let still =
+        |traffic: TrafficKnobs| (first_second(ranges_amid(traffic.clone(), 0.0)), first_second(ranges_amid(traffic, 0.05)));
+    let (instant, swept) = still(TrafficKnobs::default());
+    assert!(instant == swept);
+    let (instant, swept) = still(traffic);
+    assert!(instant != swept);
 }
 
 // ---- pairs of scans ----

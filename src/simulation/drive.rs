@@ -16,6 +16,7 @@ use super::lidar::{LASER_FRAME, Lidar, LidarKnobs};
 use super::motion::Motion;
 use super::odometer::{BASE_FRAME, Odometer, OdometerKnobs};
 use super::scene::Scene;
+use super::traffic::{Traffic, TrafficKnobs};
 use super::vehicle::VehicleKnobs;
 
 /// When every drive begins.
@@ -46,6 +47,8 @@ pub struct Settings {
     pub lidar: LidarKnobs,
     /// The wheel odometry.
     pub odometer: OdometerKnobs,
+    /// Who else is there.
+    pub traffic: TrafficKnobs,
 }
 
 /// A message of the simulated robot.
@@ -83,12 +86,13 @@ pub fn simulate<E>(
     scene: &Scene,
     mut record: impl FnMut(Stamp, SimulatedMessage) -> Result<(), E>,
 ) -> Result<(), E> {
-    let Settings { drive, vehicle, lidar, odometer } = settings;
+    let Settings { drive, vehicle, lidar, odometer, traffic } = settings;
     let random = |stream| Pcg64::new(drive.seed.into(), stream);
     let (scan_time, odometry_time) = (|k| f64::from(k) / lidar.rate, |k| f64::from(k) / odometer.rate);
     let mut lidar = Lidar::new(lidar, random(1));
     let motion = Motion::drive(&scene.route, vehicle, drive.duration.0 + lidar.sweep_time());
     let mut odometer = Odometer::new(odometer, motion.pose_at(0.0), random(2));
+    let traffic = Traffic::new(traffic, &scene.route, scene.world.as_ref(), &motion, random(3));
 
     let scan_delay = lidar.sweep_time() + SCAN_LATENCY;
     let mut agenda = vec![(START, Due::Mount)];
@@ -103,8 +107,9 @@ pub fn simulate<E>(
             Due::Odometry(k) => SimulatedMessage::Odometry(odometer.read(motion.pose_at(odometry_time(k)), time)),
             Due::Truth(k) => SimulatedMessage::Truth { stamp: time, map_from_base: motion.pose_at(scan_time(k)) },
             Due::Scan(k) => {
-                let map_from_base = |seconds| motion.pose_at(scan_time(k) + seconds);
-                SimulatedMessage::Scan(lidar.scan(scene.world.as_ref(), map_from_base, START.offset_by(scan_time(k))))
+                let world = |after| traffic.at(scene.world.as_ref(), scan_time(k) + after);
+                let map_from_base = |after| motion.pose_at(scan_time(k) + after);
+                SimulatedMessage::Scan(lidar.scan(world, map_from_base, START.offset_by(scan_time(k))))
             }
         };
         record(time, message)?;

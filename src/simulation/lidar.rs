@@ -30,8 +30,8 @@ knobs! {
         noise: f64 = 0.01, in 0 to 1, unit "m";
         /// Ranges are whole multiples of this; 0: unrounded.
         range_resolution: f64 = 0.001, in 0 to 1, unit "m";
-        /// Time from ray to ray. 0: a scan is taken in an instant, and motion does not distort it.
-        time_increment: Seconds = Seconds(0.0), in 0 to 0.01, unit "s";
+        /// Time from the first ray of a scan to the last. 0: a scan is taken in an instant, and motion does not distort it.
+        scan_duration: Seconds = Seconds(0.0), in 0 to 10, unit "s";
         /// Where the laser sits on the car.
         laser_in_base: Pose2 = Pose2::new(0.275, 0.0, 0.0), unit "m, m, rad";
     }
@@ -64,7 +64,7 @@ impl<'a> Lidar<'a> {
             angle_min,
             angle_max: angle_min + angle_increment * (beams - 1.0) as f32,
             angle_increment,
-            time_increment: knobs.time_increment.0 as f32,
+            time_increment: (knobs.scan_duration.0 / (beams - 1.0)) as f32,
             scan_time: knobs.rate.recip() as f32,
             range_min: knobs.range_min as f32,
             range_max: knobs.range_max as f32,
@@ -84,11 +84,17 @@ impl<'a> Lidar<'a> {
         ray as f64 * f64::from(self.template.time_increment)
     }
 
-    /// A scan stamped `stamp`, the time of its first ray. `map_from_base` is where the car is so many seconds after that.
-    pub fn scan(&mut self, world: &dyn World, map_from_base: impl Fn(f64) -> Pose2, stamp: Stamp) -> LaserScan {
+    /// A scan stamped `stamp`, the time of its first ray. So many seconds after that, `world` is how the world is, and
+    /// `map_from_base` where the car is.
+    pub fn scan<W: World>(&mut self, world: impl Fn(f64) -> W, map_from_base: impl Fn(f64) -> Pose2, stamp: Stamp) -> LaserScan {
+        let mut moment = (0.0, world(0.0));
         let distance = |(ray, &direction): (usize, &Point)| {
-            let laser = map_from_base(self.ray_time(ray)) * self.knobs.laser_in_base;
-            world.range(laser.translation(), laser.transform().rotate(direction), self.knobs.range_max)
+            let after = self.ray_time(ray);
+            if after > moment.0 {
+                moment = (after, world(after));
+            }
+            let laser = map_from_base(after) * self.knobs.laser_in_base;
+            moment.1.range(laser.translation(), laser.transform().rotate(direction), self.knobs.range_max)
         };
         let distances: Vec<Option<f64>> = self.beams.directions().iter().enumerate().map(distance).collect();
         let mut scan = self.template.clone();

@@ -1,7 +1,8 @@
 //! A simulated racecar: a world, a lidar, a vehicle and its odometer.
 //!
 //! [`drive::simulate`] puts them together: a [`scene`] gives the walls and the route through them, a [`driver`] steers the
-//! [`vehicle`] along the route into a [`motion`], and the [`lidar`] and the [`odometer`] measure that motion. The same seed makes
+//! [`vehicle`] along the route into a [`motion`], and the [`lidar`] and the [`odometer`] measure that motion, amid
+//! [`traffic`] if wanted. The same seed makes
 //! the same messages, bit for bit.
 //!
 //! For the study of one match at a time, [`pairs`] takes two scans close together in a [`random_world`], and [`information`] says
@@ -21,5 +22,6 @@ pub mod random_world;
 pub mod route;
 pub mod scene;
 pub mod shapes;
+pub mod traffic;
 pub mod vehicle;
 pub mod world;

@@ -7,7 +7,7 @@ use super::route::Route;
 use super::vehicle::{Command, Vehicle, VehicleKnobs};
 
 /// The driver thinks this often, s; in between the car goes on in an arc of constant curvature.
-const TICK: f64 = 0.005;
+pub(super) const TICK: f64 = 0.005;
 /// Time at rest before the car sets off, s.
 const REST: f64 = 1.0;
 
@@ -32,6 +32,11 @@ impl Motion {
             pose = pose * twist.motion(TICK);
         }
         Self { ticks }
+    }
+
+    /// Where `base_link` is at each [`TICK`].
+    pub(super) fn ticks(&self) -> impl Iterator<Item = Pose2> + '_ {
+        self.ticks.iter().map(|(pose, _)| *pose)
     }
 
     /// Where `base_link` is, `seconds` after the start: `map_from_base`.

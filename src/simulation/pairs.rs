@@ -58,7 +58,7 @@ impl Pairs {
         let reference_from_sensed = motion(random);
         let first_guess = disturbed(&reference_from_sensed, random);
         let mut lidar = Lidar::new(&self.lidar, Pcg64::from_rng(random));
-        let mut scan_at = |map_from_laser: Pose2| lidar.scan(&walls, |_| map_from_laser, Stamp::default());
+        let mut scan_at = |map_from_laser: Pose2| lidar.scan(|_| &walls, |_| map_from_laser, Stamp::default());
         let (before, after) = (scan_at(map_from_laser), scan_at(map_from_laser * reference_from_sensed));
         let mut checked = |message: &LaserScan| self.converter.convert(message, false);
         let (reference, sensed) = (checked(&before)?, checked(&after)?);

@@ -10,3 +10,13 @@ pub trait World {
     /// A distance around `point` that is known to be clear, m: at most the true distance to what one could hit, 0 where one must not be.
     fn clearance(&self, point: Point) -> f64;
 }
+
+impl<W: World + ?Sized> World for &W {
+    fn range(&self, origin: Point, direction: Point, max: f64) -> Option<f64> {
+        (**self).range(origin, direction, max)
+    }
+
+    fn clearance(&self, point: Point) -> f64 {
+        (**self).clearance(point)
+    }
+}

@@ -4,6 +4,7 @@ use anytime_scan_matcher::knobs::Value;
 use anytime_scan_matcher::simulation::drive::{DriveKnobs, Settings};
 use anytime_scan_matcher::simulation::lidar::LidarKnobs;
 use anytime_scan_matcher::simulation::odometer::OdometerKnobs;
+use anytime_scan_matcher::simulation::traffic::TrafficKnobs;
 use anytime_scan_matcher::simulation::vehicle::VehicleKnobs;
 use clap::Args;
 
@@ -17,6 +18,10 @@ pub(crate) struct SimulationFlags {
     drive: Option<Value>,
     #[arg(long, value_parser = value, help = help::<VehicleKnobs>("speed"))]
     speed: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<VehicleKnobs>("acceleration"))]
+    acceleration: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<VehicleKnobs>("lateral_acceleration"))]
+    lateral_acceleration: Option<Value>,
     #[arg(long, value_parser = value, help = help::<LidarKnobs>("beams"))]
     beams: Option<Value>,
     #[arg(long, value_parser = |text: &str| value(text.trim_end_matches("deg")), help = help::<LidarKnobs>("field_of_view"))]
@@ -25,8 +30,14 @@ pub(crate) struct SimulationFlags {
     rate: Option<Value>,
     #[arg(long, value_parser = value, help = help::<LidarKnobs>("noise"))]
     noise: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<LidarKnobs>("scan_duration"))]
+    scan_duration: Option<Value>,
     #[arg(long, value_parser = value, help = help::<OdometerKnobs>("rate"))]
     odom_rate: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<TrafficKnobs>("walkers"))]
+    walkers: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<TrafficKnobs>("rivals"))]
+    rivals: Option<Value>,
 }
 
 impl SimulationFlags {
@@ -37,11 +48,16 @@ impl SimulationFlags {
         settings.drive.seed = seed;
         set(&mut settings.vehicle, "drive", self.drive.as_ref())?;
         set(&mut settings.vehicle, "speed", self.speed.as_ref())?;
+        set(&mut settings.vehicle, "acceleration", self.acceleration.as_ref())?;
+        set(&mut settings.vehicle, "lateral_acceleration", self.lateral_acceleration.as_ref())?;
         set(&mut settings.lidar, "beams", self.beams.as_ref())?;
         set(&mut settings.lidar, "field_of_view", self.fov.as_ref())?;
         set(&mut settings.lidar, "rate", self.rate.as_ref())?;
         set(&mut settings.lidar, "noise", self.noise.as_ref())?;
+        set(&mut settings.lidar, "scan_duration", self.scan_duration.as_ref())?;
         set(&mut settings.odometer, "rate", self.odom_rate.as_ref())?;
+        set(&mut settings.traffic, "walkers", self.walkers.as_ref())?;
+        set(&mut settings.traffic, "rivals", self.rivals.as_ref())?;
         Ok(settings)
     }
 }
