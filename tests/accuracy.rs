@@ -51,21 +51,21 @@ const MUSTS: [Limits; 3] = [
 
 /// What it reaches: a tenth more than measured.
 const REACHED: [Limits; 15] = [
-    limits(Room, 1080, (1.68, 13.2), (2.0, 7.9), (0, 234)),
-    limits(Room, 361, (2.16, 16.2), (2.0, 4.4), (0, 179)),
-    limits(Room, 181, (2.81, 21.9), (2.0, 4.1), (0, 169)),
-    limits(CurvedRoom, 1080, (5.79, 137.4), (2.0, 115.8), (25, 319)),
-    limits(CurvedRoom, 361, (4.56, 86.7), (2.0, 10.8), (2, 113)),
-    limits(CurvedRoom, 181, (5.51, 101.3), (2.0, 6.4), (0, 87)),
-    limits(RoughRoom, 1080, (1.54, 12.6), (2.0, 7.4), (0, 241)),
-    limits(RoughRoom, 361, (2.18, 20.5), (2.0, 6.4), (0, 182)),
-    limits(RoughRoom, 181, (3.79, 34.2), (2.0, 8.0), (0, 171)),
-    limits(Corridor, 1080, (5.42, 11.9), (2.0, 41.3), (182, 389)),
-    limits(Corridor, 361, (6.75, 16.1), (2.0, 12.5), (75, 280)),
-    limits(Corridor, 181, (7.91, 38.3), (2.0, 10.7), (56, 240)),
-    limits(FeaturelessCorridor, 1080, (0.62, 3.5), (2.0, 235.9), (0, 141)),
-    limits(FeaturelessCorridor, 361, (0.99, 8.9), (2.0, 62.1), (0, 62)),
-    limits(FeaturelessCorridor, 181, (1.17, 15.2), (2.0, 16.8), (0, 6)),
+    limits(Room, 1080, (0.99, 6.0), (2.5, 3.5), (5, 28)),
+    limits(Room, 361, (1.71, 11.5), (2.5, 3.5), (5, 34)),
+    limits(Room, 181, (2.48, 17.0), (2.5, 3.5), (5, 33)),
+    limits(CurvedRoom, 1080, (2.09, 30.5), (2.0, 7.3), (1, 4)),
+    limits(CurvedRoom, 361, (3.31, 51.1), (2.0, 5.2), (1, 8)),
+    limits(CurvedRoom, 181, (4.84, 77.2), (2.0, 4.3), (1, 8)),
+    limits(RoughRoom, 1080, (1.18, 9.0), (2.0, 3.2), (1, 37)),
+    limits(RoughRoom, 361, (2.30, 20.5), (2.0, 3.1), (1, 39)),
+    limits(RoughRoom, 181, (4.09, 40.3), (2.0, 3.7), (1, 33)),
+    limits(Corridor, 1080, (1.90, 5.5), (2.0, 2.7), (5, 42)),
+    limits(Corridor, 361, (4.77, 8.6), (2.0, 2.7), (14, 52)),
+    limits(Corridor, 181, (6.88, 15.0), (2.0, 2.7), (29, 57)),
+    limits(FeaturelessCorridor, 1080, (0.35, 1.6), (2.0, 33.3), (1, 1)),
+    limits(FeaturelessCorridor, 361, (0.64, 2.8), (2.0, 25.6), (1, 1)),
+    limits(FeaturelessCorridor, 181, (0.84, 3.9), (2.0, 82.3), (1, 3)),
 ];
 
 /// A matcher as users get it.

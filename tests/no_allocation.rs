@@ -7,7 +7,7 @@ use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::matching::correspondence::Correspondence;
 use anytime_scan_matcher::matching::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::solver::SolverKind;
-use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
+use anytime_scan_matcher::matching::{Matcher, MatchingKnobs, PlacedView};
 use common::Laser;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
@@ -22,12 +22,13 @@ fn a_warm_match_allocates_nothing() {
         for &solver in SolverKind::ALL {
             let knobs = MatchingKnobs { correspondence, solver, ..MatchingKnobs::default() };
             let mut matcher = Matcher::new(&knobs, &RejectionKnobs::default());
+            let views: Vec<_> = scans.iter().map(|scan| [PlacedView::at_origin(matcher.view(scan))]).collect();
             let run = |matcher: &mut Matcher, with_reference: bool| {
-                for pair in scans.windows(2) {
+                for (view, sensed) in views.iter().zip(&scans[1..]) {
                     if with_reference {
-                        matcher.set_reference(&pair[0]);
+                        matcher.set_views(view);
                     }
-                    let mut refinement = matcher.begin(&pair[1], Pose2::IDENTITY);
+                    let mut refinement = matcher.begin(sensed, Pose2::IDENTITY);
                     while refinement.refine().is_none() {}
                     let uncertainty = refinement.uncertainty().unwrap();
                     assert!(uncertainty.covariance.is_some() && uncertainty.condition_number.is_finite());

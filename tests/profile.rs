@@ -117,7 +117,16 @@ fn the_errors_are_those_of_evaluate() {
     let (bag, truth) = drive(folder.path());
     let (out, tum) = (folder.path().join("out"), folder.path().join("two.tum"));
     success(&two_variants(&bag, &truth, "max_iterations", "2", out.to_str().unwrap()));
-    success(&["replay", &bag, "--tum", tum.to_str().unwrap(), "--set", "matching.max_iterations=2"]);
+    success(&[
+        "replay",
+        &bag,
+        "--tum",
+        tum.to_str().unwrap(),
+        "--set",
+        "matching.max_iterations=2",
+        "--set",
+        "matching.correspondence=jump_table",
+    ]);
     let report: Value =
         serde_json::from_str(&success(&["evaluate", tum.to_str().unwrap(), "--truth", &truth, "--json"])).unwrap();
     let summary = table(&out.join("summary.csv"));

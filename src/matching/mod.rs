@@ -219,7 +219,7 @@ impl Matcher {
     /// Sets the scan that the next ones are matched to.
     pub fn set_reference(&mut self, scan: &Scan) {
         let view = self.view(scan);
-        self.set_views(&[PlacedView { reference_from_view: Pose2::IDENTITY, view }]);
+        self.set_views(&[PlacedView::at_origin(view)]);
     }
 
     /// Sets what the next scans are matched to: the first view's frame is the reference frame.

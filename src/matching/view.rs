@@ -131,7 +131,8 @@ mod tests {
 
     #[test]
     fn every_beam_finds_itself_whichever_way_the_laser_sweeps() {
-        let geometries = [(-2.3, 0.0044, 1080), (2.3, -0.0044, 1080), (0.0, TAU / 360.0, 360), (1.3, -TAU / 180.0, 180), (-1.57, 0.0175, 180)];
+        let geometries =
+            [(-2.3, 0.0044, 1080), (2.3, -0.0044, 1080), (0.0, TAU / 360.0, 360), (1.3, -TAU / 180.0, 180), (-1.57, 0.0175, 180)];
         for (angle_min, increment, count) in geometries {
             let beams = BeamGeometry::new(angle_min, increment, count);
             let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), vec![2.0; count]).unwrap();

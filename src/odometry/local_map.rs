@@ -57,7 +57,12 @@ impl LocalMap {
 
     /// The `count` keyframes that saw most of what is seen from a pose, as views of the first one's laser; where that was. The last
     /// keyframe is always near enough.
-    pub(super) fn views_around(&mut self, odom_from_laser: &Pose2, count: usize, views: &mut Vec<PlacedView>) -> Option<Placement> {
+    pub(super) fn views_around(
+        &mut self,
+        odom_from_laser: &Pose2,
+        count: usize,
+        views: &mut Vec<PlacedView>,
+    ) -> Option<Placement> {
         self.near.clear();
         for (i, Keyframe { place, .. }) in self.keyframes.iter().enumerate() {
             let motion = odom_from_laser.between(&place.odom_from_laser);

@@ -11,7 +11,9 @@ use crate::anytime::{Driver, ErrorEstimate, estimated_error};
 use crate::geometry::{Point, Pose2, PoseCovariance, Twist2};
 use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
-use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, Prior, Refinement, SearchWindow, StopReason};
+use crate::matching::{
+    FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, Prior, Refinement, SearchWindow, StopReason,
+};
 use crate::scan::Scan;
 use crate::time::Stamp;
 use local_map::{Keyframe, LocalMap, Placement};
@@ -551,7 +553,8 @@ struct Prediction {
 }
 
 impl Prediction {
-    const NONE: Self = Self { motion: Pose2::IDENTITY, covariance: PoseCovariance::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) };
+    const NONE: Self =
+        Self { motion: Pose2::IDENTITY, covariance: PoseCovariance::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) };
 }
 
 /// A scan to be matched.

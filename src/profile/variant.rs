@@ -44,9 +44,7 @@ impl Variant {
     /// Every search with every solver that is another with it.
     pub fn all() -> Vec<Self> {
         let with = |&search| SolverKind::ALL.iter().map(move |&solver| Self { search, solver });
-        let differs = |variant: &Self| {
-            variant.search != Correspondence::Projective || variant.solver != SolverKind::PointToPoint
-        };
+        let differs = |variant: &Self| variant.search != Correspondence::Projective || variant.solver != SolverKind::PointToPoint;
         Correspondence::ALL.iter().flat_map(with).filter(differs).collect()
     }
 

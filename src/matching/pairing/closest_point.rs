@@ -3,8 +3,8 @@
 
 use super::{Metric, Pairing, Pairs, PlacedView};
 use crate::geometry::{Point, Pose2};
-use crate::matching::covariance::{Solution, UncertaintyEstimator};
 use crate::matching::correspondence::{CorrespondenceSearch, Nearest};
+use crate::matching::covariance::{Solution, UncertaintyEstimator};
 use crate::matching::ray_order::RayOrder;
 use crate::matching::reference::Reference;
 use crate::matching::rejection::{Pair, Rejection, RejectionKnobs};

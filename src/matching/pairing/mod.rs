@@ -24,6 +24,13 @@ pub struct PlacedView {
     pub view: Arc<View>,
 }
 
+impl PlacedView {
+    /// The only view, or the first one: its frame is the reference frame.
+    pub fn at_origin(view: Arc<View>) -> Self {
+        Self { reference_from_view: Pose2::IDENTITY, view }
+    }
+}
+
 /// The pairs at one pose.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pairs {
