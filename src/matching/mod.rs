@@ -32,8 +32,6 @@ pub use view::View;
 
 /// Pairs without which no pose is determined.
 const FEWEST_PAIRS: u32 = 3;
-/// Where fewer of the rays agree, the pose is doubtful.
-const DOUBTFUL_AGREEMENT: f64 = 0.9;
 /// What a search finds must have more than this part of the rays agree.
 const LIKELY_AGREEMENT: f64 = 0.5;
 /// Rays that the search makes do with.
@@ -159,14 +157,14 @@ pub struct SearchWindow {
     pub distance: f64,
     /// To either side, rad.
     pub angle: f64,
-    /// Whether to look there however well the scans agree.
-    pub always: bool,
+    /// Look there where a smaller part of the rays agrees: more than 1 is always.
+    pub doubtful_agreement: f64,
 }
 
 impl Default for SearchWindow {
     /// Twice the error that tracking copes with.
     fn default() -> Self {
-        Self { distance: 0.3, angle: 0.35, always: false }
+        Self { distance: 0.3, angle: 0.35, doubtful_agreement: 0.9 }
     }
 }
 
@@ -316,8 +314,7 @@ impl Refinement<'_> {
             let is_better = is_likely && search::is_better(agreement, tracked.agreement, self.finest);
             return Some(if is_better { outcome } else { self.return_to(&tracked) });
         }
-        let window = &self.first_guess.window;
-        if !window.always && !outcome.is_failure() && agreement.share() >= DOUBTFUL_AGREEMENT {
+        if !outcome.is_failure() && agreement.share() >= self.first_guess.window.doubtful_agreement {
             return Some(outcome);
         }
         m.search.begin(&self.first_guess, Tracked { pose: self.pose, width: m.pairing.width(), agreement, outcome });
@@ -434,6 +431,12 @@ impl Refinement<'_> {
     /// Number of sensed rays that carry a measurement.
     pub fn rays(&self) -> usize {
         self.scan.valid_len()
+    }
+
+    /// Part of the rays that end where the reference has a surface, of those that end where it sees; `None` where pairs say nothing of
+    /// that, as those with the nearest point do.
+    pub fn agreement(&self) -> Option<f64> {
+        self.matcher.pairing.agreement().map(|agreement| agreement.share())
     }
 
     /// The pairs of the last iteration as (sensed point moved to the pose, its partner), m, in the reference frame.

@@ -23,6 +23,10 @@ use wheel::{WheelEvent, WheelOdometry, WheelSample};
 const NEW_RUN: f64 = 1.0;
 /// A constant velocity predicts over gaps up to this, s.
 const MAX_PREDICTION_GAP: f64 = 1.0;
+/// The agreement of scans varies by this from one to the next.
+const USUAL_VARIATION: f64 = 0.05;
+/// Weight of the last scan in the usual agreement.
+const USUAL_WEIGHT: f64 = 0.05;
 /// To either side of a predicted turn so much of it is searched.
 const SEARCHED_PART_OF_TURN: f64 = 1.2;
 
@@ -182,6 +186,7 @@ pub struct LaserOdometry {
     /// The last scan, when its answer was given before its match was done, and the pose (in the keyframe) that it had come to.
     unfinished: Option<(Scan, Attempt, Pose2)>,
     last: Option<Last>,
+    usual_agreement: f64,
     start: Pose2,
     counters: OdometryCounters,
     keep_matched_points: bool,
@@ -203,6 +208,7 @@ impl LaserOdometry {
             upcoming_keyframe: None,
             unfinished: None,
             last: None,
+            usual_agreement: 1.0,
             start: knobs.initial_pose,
             counters: OdometryCounters::default(),
             keep_matched_points: false,
@@ -234,6 +240,7 @@ impl LaserOdometry {
     /// Starts again: the next scan is the first one, at `odom_from_base`.
     pub fn restart_at(&mut self, odom_from_base: Pose2) {
         self.forget_reference();
+        self.usual_agreement = 1.0;
         self.last = None;
         self.start = odom_from_base;
     }
@@ -320,12 +327,16 @@ impl LaserOdometry {
 
     /// Matches a scan to the keyframe, from `start` on.
     fn match_to(&mut self, keyframe: &Placement, scan: &Scan, attempt: &Attempt, start: Pose2, driver: &mut Driver) -> Found {
-        let guess = FirstGuess { pose: start, prior: Some(attempt.prior(keyframe)), window: attempt.window() };
+        let guess =
+            FirstGuess { pose: start, prior: Some(attempt.prior(keyframe)), window: attempt.window(self.usual_agreement) };
         let mut refinement = self.matcher.begin(scan, guess);
         let stop_reason = driver.drive(&mut refinement);
         self.iterations.clear();
         self.iterations.extend_from_slice(refinement.trace());
         let uncertainty = refinement.uncertainty();
+        if let Some(agreement) = refinement.agreement() {
+            self.usual_agreement += USUAL_WEIGHT * (agreement - self.usual_agreement);
+        }
         let report = report(&refinement, stop_reason, uncertainty.map(|known| known.condition_number));
         let keyframe_from_laser = refinement.pose();
         let match_covariance = uncertainty.and_then(|known| known.covariance);
@@ -581,10 +592,16 @@ impl Attempt {
         }
     }
 
-    /// Where to search: the more the robot has turned, the less is known of how far.
-    fn window(&self) -> SearchWindow {
+    /// Where to search, and when: the more the robot has turned, the less is known of how far. Where scans never agree as in a room,
+    /// outdoors, less than usual is a sign.
+    fn window(&self, usual_agreement: f64) -> SearchWindow {
         let (turn, window) = (self.prediction.motion.theta.abs(), SearchWindow::default());
-        SearchWindow { angle: window.angle.max(SEARCHED_PART_OF_TURN * turn), always: turn > window.angle, ..window }
+        let less_than_usual = (usual_agreement - USUAL_VARIATION).min(window.doubtful_agreement);
+        SearchWindow {
+            angle: window.angle.max(SEARCHED_PART_OF_TURN * turn),
+            doubtful_agreement: if turn > window.angle { f64::INFINITY } else { less_than_usual },
+            ..window
+        }
     }
 
     fn predicted_laser(&self) -> Pose2 {
