@@ -3,9 +3,9 @@
 //! # How a scan becomes a pose
 //!
 //! ```text
-//!  LaserScan ──► Scan ──► prediction ──► correspondences ──► rejection ──► solve ──► pose ──► Estimate ──► messages, files
-//!  (messages)   (scan)   (odometry::    (matching::         (matching::   (matching::          (app)       (ros, replay)
-//!                         wheel)         correspondence)     rejection)    solver)
+//!  LaserScan ──► Scan ──► prediction ──► pairs with the ──► quadratic ──► solve ──► pose ──► Estimate ──► messages, files
+//!  (messages)   (scan)   (odometry::    views around       form          (matching::         (app)       (ros, replay)
+//!                         wheel)         (matching::pairing)              solver)
 //!                                       └────────── Refinement::refine, until the contract ends (anytime::drive) ─────────┘
 //! ```
 //!
@@ -30,7 +30,7 @@
 //! | [`simulation`] | worlds, a lidar, a car, its odometry |
 //! | [`evaluation`] | ATE, RPE, relations, plots |
 //! | [`anytime`] | contracts, clocks, and refining until the contract ends |
-//! | [`odometry`] | predict, match, keep the keyframe: one scan to one pose |
+//! | [`odometry`] | predict, match, keep the map of keyframes: one scan to one pose |
 //! | [`localization`] | a particle filter: where on a map |
 //! | [`io`] | bags, CARMEN logs, trajectories, relations, maps |
 //! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |

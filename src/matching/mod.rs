@@ -61,7 +61,7 @@ crate::knobs! {
         /// Points farther apart do not correspond.
         max_correspondence_distance: f64 = 0.5, in 0.001 to 100, unit "m";
         /// Converged when a step moves the pose by less than this and turns it by less than `epsilon_rotation`.
-        epsilon_translation: f64 = 1e-4, in 0 to 1, unit "m";
+        epsilon_translation: f64 = 3e-4, in 0 to 1, unit "m";
         /// See `epsilon_translation`.
         epsilon_rotation: f64 = 1e-4, in 0 to 1, unit "rad";
         /// Least part of the sensed rays that must find a correspondence.
@@ -436,7 +436,7 @@ impl Refinement<'_> {
     /// Part of the rays that end where the reference has a surface, of those that end where it sees; `None` where pairs say nothing of
     /// that, as those with the nearest point do.
     pub fn agreement(&self) -> Option<f64> {
-        self.matcher.pairing.agreement().map(|agreement| agreement.share())
+        self.matcher.pairing.agreement().map(Agreement::share)
     }
 
     /// The pairs of the last iteration as (sensed point moved to the pose, its partner), m, in the reference frame.

@@ -2,6 +2,8 @@
 
 use std::f64::consts::TAU;
 
+use wide::f32x8;
+
 use super::line_fit::LineFitter;
 use crate::geometry::Point;
 use crate::scan::Scan;
@@ -86,30 +88,23 @@ pub(super) struct Bearings {
 }
 
 impl Bearings {
-    /// The beam that looks towards a point, next to it at least; past the last one when none does.
+    /// The beams that look towards points, next to it at least; past the last one where none does.
     #[inline]
-    #[allow(clippy::cast_possible_truncation)] // clamped
-    pub(super) fn beam(&self, x: f32, y: f32) -> i32 {
-        let offset = (bearing(x, y) - self.angle_min) * self.per_radian + 0.5;
-        let offset = if offset < 0.0 { offset + self.turn } else { offset };
-        let offset = if offset >= self.turn { offset - self.turn } else { offset };
-        offset.clamp(0.0, self.beams) as i32
+    #[allow(clippy::cast_sign_loss)] // clamped
+    pub(super) fn beams(&self, x: f32x8, y: f32x8) -> [usize; 8] {
+        let turn = f32x8::splat(self.turn);
+        let offset = (y.atan2(x) - f32x8::splat(self.angle_min)) * f32x8::splat(self.per_radian) + f32x8::HALF;
+        let offset = offset + (offset.simd_lt(f32x8::ZERO) & turn);
+        let offset = offset - (offset.simd_ge(turn) & turn);
+        let beams = offset.fast_max(f32x8::ZERO).fast_min(f32x8::splat(self.beams));
+        beams.fast_trunc_int().to_array().map(|beam| beam as usize)
     }
-}
 
-/// `atan2(y, x)` to 2e-5 rad, far less than the increment of any laser, without branches.
-#[inline]
-fn bearing(x: f32, y: f32) -> f32 {
-    use std::f32::consts::{FRAC_PI_2, PI};
-    let (ax, ay) = (x.abs(), y.abs());
-    let (low, high) = (ax.min(ay), ax.max(ay).max(f32::MIN_POSITIVE));
-    let t = low / high;
-    let s = t * t;
-    // The odd polynomial of degree 9 that is nearest to the arc tangent on 0 to 1.
-    let angle = t * (0.999_866_3 + s * (-0.330_304_8 + s * (0.180_159_3 + s * (-0.085_156_35 + s * 0.020_845_11))));
-    let angle = if ay > ax { FRAC_PI_2 - angle } else { angle };
-    let angle = if x < 0.0 { PI - angle } else { angle };
-    angle.copysign(y)
+    /// The beam that looks towards one point.
+    #[allow(clippy::cast_possible_truncation)] // to single precision
+    pub(super) fn beam(&self, point: &Point) -> usize {
+        self.beams(f32x8::splat(point.x as f32), f32x8::splat(point.y as f32))[0]
+    }
 }
 
 #[cfg(test)]
@@ -117,17 +112,6 @@ mod tests {
     use super::*;
     use crate::scan::BeamGeometry;
     use crate::time::Stamp;
-
-    #[test]
-    fn bearings_are_those_of_the_library() {
-        for i in 0..10_000 {
-            let angle = f64::from(i) * 1e-3 - 5.0;
-            let (sin, cos) = angle.sin_cos();
-            let range = 0.1 + f64::from(i % 37);
-            let (x, y) = ((range * cos) as f32, (range * sin) as f32);
-            assert!((bearing(x, y) - y.atan2(x)).abs() < 2e-5, "{x} {y}");
-        }
-    }
 
     #[test]
     fn every_beam_finds_itself_whichever_way_the_laser_sweeps() {
@@ -138,7 +122,7 @@ mod tests {
             let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), vec![2.0; count]).unwrap();
             let view = View::of(&scan, 0.01, &mut LineFitter::default());
             for (i, point) in view.points().enumerate() {
-                assert_eq!(view.bearings().beam(point.x as f32, point.y as f32), i as i32, "{angle_min} {increment}");
+                assert_eq!(view.bearings().beam(&point), i, "{angle_min} {increment}");
             }
         }
     }
@@ -148,6 +132,6 @@ mod tests {
         let beams = BeamGeometry::new(-1.0, 0.01, 201);
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), vec![2.0; 201]).unwrap();
         let view = View::of(&scan, 0.01, &mut LineFitter::default());
-        assert!(view.surfaces()[view.bearings().beam(-1.0, 0.1) as usize].is_none());
+        assert!(view.surfaces()[view.bearings().beam(&Point::new(-1.0, 0.1))].is_none());
     }
 }

@@ -50,7 +50,7 @@ crate::knobs! {
         /// Keyframes that a scan is matched to at once, of those around; where it is matched to nearest points, to the first of them alone.
         views: u32 = 3, in 1 to 20;
         /// Keyframes of the local map at most; beyond, the oldest go. One takes 30 bytes per beam.
-        max_keyframes: u32 = 1000, in 1 to 100000;
+        max_keyframes: u32 = 1000, in 1 to 10000;
         /// A new keyframe after this way.
         keyframe_distance: f64 = 0.4, in 0 to 100, unit "m";
         /// A new keyframe after this turn.

@@ -59,7 +59,7 @@ pub(super) struct Agreement {
 
 impl Agreement {
     /// Part of the rays seen that agree.
-    pub(super) fn share(&self) -> f64 {
+    pub(super) fn share(self) -> f64 {
         f64::from(self.agreeing) / f64::from(self.seen.max(1))
     }
 }

@@ -1,5 +1,5 @@
 //! Pairs a point with the surface that the reference laser saw in its direction: no nearest neighbour, but what would have been
-//! measured there. Far errors lose their weight by degrees (Geman and McClure 1987) instead of being cut off.
+//! measured there. Far errors lose their weight by degrees (the kernel of Geman and `McClure` 1987) instead of being cut off.
 //!
 //! The squared error of a pair is weighed by its variance, in units of a range's: `cos^2(incidence)` of the sensed range, the
 //! surface's own, and a floor that is the same for all. The floor is what the pairs themselves show beyond the rest. At first that
@@ -7,6 +7,7 @@
 //! surfaces are uneven, and grazing rays, which know best, count.
 
 use nalgebra::{Matrix2, SymmetricEigen};
+use wide::f32x8;
 
 use super::{Agreement, Metric, Pairing, Pairs, PlacedView};
 use crate::geometry::{Point, Pose2};
@@ -36,7 +37,7 @@ const ROUGH_AGREEMENT: f32 = 0.12;
 /// A direction in which the pairs know so many times what errors of the surfaces' directions feign is not seen at all.
 const FEIGNED: f64 = 4.0;
 
-/// Rays that are handled at a time: what the compiler makes wide instructions of.
+/// Rays that are handled at a time.
 const LANES: usize = 8;
 type Lanes = [f32; LANES];
 
@@ -86,34 +87,60 @@ impl Sensed {
 
 /// The surfaces that a block of rays is paired with.
 struct Partners {
-    normal_x: Lanes,
-    normal_y: Lanes,
-    offset: Lanes,
-    variance: Lanes,
-    turn_variance: Lanes,
+    normal_x: f32x8,
+    normal_y: f32x8,
+    offset: f32x8,
+    variance: f32x8,
+    turn_variance: f32x8,
 }
 
 impl Partners {
     /// `rays`: of the block, as many as it has.
     #[inline]
-    #[allow(clippy::cast_sign_loss)] // beams are not negative
-    fn gather(surfaces: &[Surface], beams: &[i32; LANES], rays: usize) -> Self {
-        let mut partners = Self {
-            normal_x: [0.0; LANES],
-            normal_y: [0.0; LANES],
-            offset: [0.0; LANES],
-            variance: [Surface::NONE.variance; LANES],
-            turn_variance: [0.0; LANES],
-        };
+    fn gather(surfaces: &[Surface], beams: &[usize; LANES], rays: usize) -> Self {
+        let (mut normal_x, mut normal_y, mut offset, mut turn_variance) =
+            ([0.0; LANES], [0.0; LANES], [0.0; LANES], [0.0; LANES]);
+        let mut variance = [Surface::NONE.variance; LANES];
         for (l, &beam) in beams.iter().enumerate().take(rays) {
-            let surface = &surfaces[beam as usize];
-            partners.normal_x[l] = surface.normal[0];
-            partners.normal_y[l] = surface.normal[1];
-            partners.offset[l] = surface.offset;
-            partners.variance[l] = surface.variance;
-            partners.turn_variance[l] = surface.turn_variance;
+            let surface = &surfaces[beam];
+            normal_x[l] = surface.normal[0];
+            normal_y[l] = surface.normal[1];
+            offset[l] = surface.offset;
+            variance[l] = surface.variance;
+            turn_variance[l] = surface.turn_variance;
         }
-        partners
+        let [normal_x, normal_y, offset, variance, turn_variance] =
+            [normal_x, normal_y, offset, variance, turn_variance].map(f32x8::new);
+        Self { normal_x, normal_y, offset, variance, turn_variance }
+    }
+
+    /// All bits of the lanes that have one.
+    #[inline]
+    fn found(&self) -> f32x8 {
+        self.variance.simd_lt(f32x8::splat(Surface::NONE.variance))
+    }
+}
+
+/// A pose that moves many points.
+struct Motion {
+    cos: f32x8,
+    sin: f32x8,
+    x: f32x8,
+    y: f32x8,
+}
+
+impl Motion {
+    #[allow(clippy::cast_possible_truncation)] // to single precision
+    fn new(pose: &Pose2) -> Self {
+        let (sin, cos) = pose.theta.sin_cos();
+        let [cos, sin, x, y] = [cos, sin, pose.x, pose.y].map(|v| f32x8::splat(v as f32));
+        Self { cos, sin, x, y }
+    }
+
+    /// Points turned, but not shifted.
+    #[inline]
+    fn turn(&self, x: f32x8, y: f32x8) -> (f32x8, f32x8) {
+        (self.cos * x - self.sin * y, self.sin * x + self.cos * y)
     }
 }
 
@@ -145,7 +172,7 @@ enum Sum {
 }
 
 /// Sums over the pairs of one view, in its frame.
-struct Sums([Lanes; Sum::Count as usize]);
+struct Sums([f32x8; Sum::Count as usize]);
 
 impl Sums {
     fn of(&self, sum: Sum) -> f64 {
@@ -153,7 +180,7 @@ impl Sums {
     }
 
     fn at(&self, place: usize) -> f64 {
-        self.0[place].iter().copied().map(f64::from).sum()
+        self.0[place].to_array().map(f64::from).iter().sum()
     }
 
     fn form(&self, view_from_sensed: &Pose2) -> QuadraticForm {
@@ -198,7 +225,7 @@ pub(in crate::matching) struct Projective {
     prior: QuadraticForm,
     floor: f64,
     /// Distance of each ray from the nearest surface that it is paired with, m.
-    distances: Vec<Lanes>,
+    distances: Vec<f32x8>,
     form: QuadraticForm,
     totals: Totals,
 }
@@ -222,56 +249,52 @@ impl Projective {
     #[allow(clippy::cast_possible_truncation)] // to single precision
     fn sum(&mut self, view: usize, view_from_sensed: &Pose2) -> Sums {
         let (bearings, surfaces) = (self.views[view].view.bearings(), self.views[view].view.surfaces());
-        let (sin, cos) = view_from_sensed.theta.sin_cos();
-        let (sin, cos, tx, ty) = (sin as f32, cos as f32, view_from_sensed.x as f32, view_from_sensed.y as f32);
-        let kernel_width = (KERNEL_SIGMAS * self.noise).powi(2) as f32;
-        let per_square = (self.noise * self.noise).recip() as f32;
-        let floor = self.floor as f32;
-        let mut sums = [[0.0; LANES]; Sum::Count as usize];
+        let motion = Motion::new(view_from_sensed);
+        let kernel_width = f32x8::splat((KERNEL_SIGMAS * self.noise).powi(2) as f32);
+        let per_square = f32x8::splat((self.noise * self.noise).recip() as f32);
+        let floor = f32x8::splat(self.floor as f32);
+        let mut sums = [f32x8::ZERO; Sum::Count as usize];
         let mut left = self.sensed.len;
         let sensed = self.sensed.x.iter().zip(&self.sensed.y).zip(&self.sensed.inverse_square);
-        for (((px, py), inverse_square), distances) in sensed.zip(&mut self.distances) {
-            let mut beams = [0; LANES];
-            for l in 0..LANES {
-                beams[l] = bearings.beam(cos * px[l] - sin * py[l] + tx, sin * px[l] + cos * py[l] + ty);
-            }
+        for (((&px, &py), &inverse_square), distances) in sensed.zip(&mut self.distances) {
+            let [px, py, inverse_square] = [px, py, inverse_square].map(f32x8::new);
+            let (rx, ry) = motion.turn(px, py);
+            let beams = bearings.beams(rx + motion.x, ry + motion.y);
             let partners = Partners::gather(surfaces, &beams, left.min(LANES));
             left = left.saturating_sub(LANES);
-            for l in 0..LANES {
-                let (rx, ry) = (cos * px[l] - sin * py[l], sin * px[l] + cos * py[l]);
-                let (nx, ny) = (partners.normal_x[l], partners.normal_y[l]);
-                let found = if partners.variance[l] < Surface::NONE.variance { 1.0 } else { 0.0 };
-                let facing = nx * rx + ny * ry;
-                let error = facing + nx * tx + ny * ty - partners.offset[l];
-                let squared = error * error;
-                let variance = facing * facing * inverse_square[l] + floor + partners.variance[l];
-                let scale = kernel_width * variance;
-                let kernel = scale / (scale + squared);
-                let by_variance = found / variance;
-                let weight = kernel * kernel * by_variance;
-                let a = [nx, ny, nx * px[l] + ny * py[l], ny * px[l] - nx * py[l]];
-                let mut add = |place: usize, value: f32| sums[place][l] += value;
-                let mut place = Sum::Matrix as usize;
-                for i in 0..4 {
-                    let wa = weight * a[i];
-                    add(Sum::Gradient as usize + i, wa * error);
-                    for aj in &a[i..] {
-                        add(place, wa * aj);
-                        place += 1;
-                    }
+
+            let (nx, ny) = (partners.normal_x, partners.normal_y);
+            let found = partners.found() & f32x8::ONE;
+            let facing = nx * rx + ny * ry;
+            let error = facing + nx * motion.x + ny * motion.y - partners.offset;
+            let (squared, distance) = (error * error, error.abs());
+            let variance = facing * facing * inverse_square + floor + partners.variance;
+            let scale = kernel_width * variance;
+            let kernel = scale / (scale + squared);
+            let by_variance = found / variance;
+            let weight = kernel * kernel * by_variance;
+            let inlier = squared.simd_lt(scale) & found;
+
+            let mut add = |place: usize, value: f32x8| sums[place] += value;
+            let a = [nx, ny, nx * px + ny * py, ny * px - nx * py];
+            let mut place = Sum::Matrix as usize;
+            for i in 0..4 {
+                let wa = weight * a[i];
+                add(Sum::Gradient as usize + i, wa * error);
+                for &aj in &a[i..] {
+                    add(place, wa * aj);
+                    place += 1;
                 }
-                let inlier = if squared < scale { found } else { 0.0 };
-                add(Sum::Squares as usize, weight * squared);
-                add(Sum::Expected as usize, weight * variance * found);
-                add(Sum::Feigned as usize, weight * partners.turn_variance[l]);
-                add(Sum::Excess as usize, weight * by_variance * (squared * per_square - variance));
-                add(Sum::ExcessWeights as usize, weight * by_variance);
-                add(Sum::Residuals as usize, inlier * error.abs());
-                add(Sum::Inliers as usize, inlier);
-                add(Sum::Pairs as usize, found);
-                let distance = if found > 0.0 { error.abs() } else { f32::INFINITY };
-                distances[l] = distances[l].min(distance);
             }
+            add(Sum::Squares as usize, weight * squared);
+            add(Sum::Expected as usize, weight * variance);
+            add(Sum::Feigned as usize, weight * partners.turn_variance);
+            add(Sum::Excess as usize, weight * by_variance * (squared * per_square - variance));
+            add(Sum::ExcessWeights as usize, weight * by_variance);
+            add(Sum::Residuals as usize, inlier * distance);
+            add(Sum::Inliers as usize, inlier);
+            add(Sum::Pairs as usize, found);
+            *distances = distances.fast_min(partners.found().select(distance, f32x8::splat(f32::INFINITY)));
         }
         Sums(sums)
     }
@@ -338,7 +361,7 @@ impl Pairing for Projective {
             return None;
         }
         self.distances.clear();
-        self.distances.resize(self.sensed.x.len(), [f32::INFINITY; LANES]);
+        self.distances.resize(self.sensed.x.len(), f32x8::splat(f32::INFINITY));
         (self.form, self.totals) = (QuadraticForm::default(), Totals::default());
         for view in 0..self.views.len() {
             let reference_from_view = self.views[view].reference_from_view;
@@ -387,7 +410,10 @@ impl Pairing for Projective {
     }
 
     fn agreement(&self) -> Option<Agreement> {
-        let within = |limit: f32| self.distances.iter().flatten().take(self.sensed.len).filter(|&&d| d < limit).count() as u32;
+        let within = |limit: f32| -> u32 {
+            let limit = f32x8::splat(limit);
+            self.distances.iter().map(|distances| distances.simd_lt(limit).to_bitmask().count_ones()).sum()
+        };
         Some(Agreement { agreeing: within(AGREEMENT), seen: within(f32::INFINITY) })
     }
 
@@ -402,17 +428,18 @@ impl Pairing for Projective {
     fn score(&self, pose: &Pose2) -> u32 {
         let Some(placed) = self.views.first() else { return 0 };
         let (bearings, surfaces) = (placed.view.bearings(), placed.view.surfaces());
-        let view_from_sensed = placed.reference_from_view.between(pose);
-        let (sin, cos) = view_from_sensed.theta.sin_cos();
-        let (sin, cos, tx, ty) = (sin as f32, cos as f32, view_from_sensed.x as f32, view_from_sensed.y as f32);
-        let points = self.sensed.x.iter().flatten().zip(self.sensed.y.iter().flatten()).take(self.sensed.len);
-        let agrees = |(&px, &py): (&f32, &f32)| {
-            let (qx, qy) = (cos * px - sin * py + tx, sin * px + cos * py + ty);
-            let surface = &surfaces[bearings.beam(qx, qy) as usize];
-            let error = surface.normal[0] * qx + surface.normal[1] * qy - surface.offset;
-            error.abs() < ROUGH_AGREEMENT && !surface.is_none()
-        };
-        points.filter(|&point| agrees(point)).count() as u32
+        let motion = Motion::new(&placed.reference_from_view.between(pose));
+        let (mut agreeing, mut left) = (0, self.sensed.len);
+        for (&px, &py) in self.sensed.x.iter().zip(&self.sensed.y) {
+            let (rx, ry) = motion.turn(f32x8::new(px), f32x8::new(py));
+            let (qx, qy) = (rx + motion.x, ry + motion.y);
+            let partners = Partners::gather(surfaces, &bearings.beams(qx, qy), left.min(LANES));
+            left = left.saturating_sub(LANES);
+            let error = partners.normal_x * qx + partners.normal_y * qy - partners.offset;
+            let agrees = error.abs().simd_lt(f32x8::splat(ROUGH_AGREEMENT)) & partners.found();
+            agreeing += agrees.to_bitmask().count_ones();
+        }
+        agreeing
     }
 
     fn matched_points(&self, pose: &Pose2, points: &mut Vec<(Point, Point)>) {
@@ -422,7 +449,7 @@ impl Pairing for Projective {
             let (bearings, surfaces) = (placed.view.bearings(), placed.view.surfaces());
             for point in self.sensed.points() {
                 let seen = view_from_sensed.apply(point);
-                let surface = &surfaces[bearings.beam(seen.x as f32, seen.y as f32) as usize];
+                let surface = &surfaces[bearings.beam(&seen)];
                 let normal = Point::new(surface.normal[0].into(), surface.normal[1].into());
                 let error = normal.dot(&seen) - f64::from(surface.offset);
                 if !surface.is_none() && error.abs() < f64::from(AGREEMENT) {
