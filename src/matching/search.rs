@@ -15,8 +15,10 @@ const TURN_STEP: f64 = 0.0873;
 const SCORED_AT_ONCE: usize = 64;
 /// Starts that are refined.
 const REFINED: usize = 8;
-/// Part of the rays that must agree more than before.
-const MARGIN: f64 = 0.03;
+/// Part of the rays that must agree more than before with a start, so that it is refined with all,
+const PROMISING: f64 = 0.03;
+/// and then, so that it is believed.
+const BELIEVED: f64 = 0.05;
 
 /// Where tracking from the first guess had come to.
 #[derive(Clone, Copy, Debug)]
@@ -95,15 +97,19 @@ impl Search {
         }
     }
 
-    /// The pose found, if clearly more of so many rays agree with it than with what they did `before`.
+    /// The pose found, if more of so many rays agree with it than did `before`.
     pub(super) fn found(&self, before: Agreement, rays: usize) -> Option<Pose2> {
-        self.best.filter(|(_, agreement)| is_better(*agreement, before, rays)).map(|(pose, _)| pose)
+        self.best.filter(|(_, agreement)| exceeds(*agreement, before, PROMISING, rays)).map(|(pose, _)| pose)
     }
 }
 
 /// Whether clearly more of so many rays agree.
 pub(super) fn is_better(agreement: Agreement, before: Agreement, rays: usize) -> bool {
-    f64::from(agreement.agreeing) > f64::from(before.agreeing) + MARGIN * rays as f64
+    exceeds(agreement, before, BELIEVED, rays)
+}
+
+fn exceeds(agreement: Agreement, before: Agreement, margin: f64, rays: usize) -> bool {
+    f64::from(agreement.agreeing) > f64::from(before.agreeing) + margin * rays as f64
 }
 
 /// From `-limit` to `limit`, evenly, by `step` at most.

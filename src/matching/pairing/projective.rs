@@ -26,6 +26,10 @@ const FIRST_WIDTH: f64 = 0.3;
 const STEEPEST: f64 = 0.16;
 /// It has come to rest when it falls to no less than this part.
 const RESTING: f64 = 0.7;
+/// And to this part of it at most, while it is above [`MOST_FLOOR`] ...
+const GENTLEST: f64 = 0.5;
+/// ... which stands for 3 cm: what errs more is no unevenness, but something that has moved.
+const MOST_FLOOR: f64 = 9.0;
 /// Least floor, in units of a range's variance: surfaces are uneven, beams are wide.
 const LEAST_FLOOR: f64 = 0.15;
 /// The pairs of neighbouring rays err alike, so that all together know less than their variances say: by this factor of the variance.
@@ -302,7 +306,8 @@ impl Projective {
     /// The floor for the next pairs, and whether it has come to rest.
     fn lower_floor(&mut self) -> bool {
         let shown = self.floor + self.totals.excess / self.totals.excess_weights.max(f64::MIN_POSITIVE);
-        let floor = shown.max(STEEPEST * self.floor).max(LEAST_FLOOR).min(self.floor);
+        let gentlest = if self.floor > MOST_FLOOR { (GENTLEST * self.floor).max(MOST_FLOOR) } else { self.floor };
+        let floor = shown.max(STEEPEST * self.floor).max(LEAST_FLOOR).min(gentlest);
         let resting = floor >= RESTING * self.floor;
         self.floor = floor;
         resting
