@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::geometry::Point;
+use crate::geometry::{Point, Twist2};
 use crate::messages::sensor_msgs::LaserScan;
 use crate::time::Stamp;
 
@@ -88,6 +88,7 @@ pub struct BeamGeometry {
     angle_min: f64,
     angle_increment: f64,
     directions: Vec<Point>,
+    is_even: bool,
 }
 
 impl BeamGeometry {
@@ -99,7 +100,7 @@ impl BeamGeometry {
                 Point::new(cos, sin)
             })
             .collect();
-        Self { angle_min, angle_increment, directions }
+        Self { angle_min, angle_increment, directions, is_even: true }
     }
 
     /// Number of beams.
@@ -120,6 +121,11 @@ impl BeamGeometry {
     /// Angle from one beam to the next, rad; negative when the laser sweeps clockwise.
     pub fn angle_increment(&self) -> f64 {
         self.angle_increment
+    }
+
+    /// Whether the beams point where their indices say; those of an undistorted scan do so only about.
+    pub fn is_even(&self) -> bool {
+        self.is_even
     }
 
     /// Unit vectors of the beams.
@@ -152,6 +158,8 @@ pub struct Scan {
     beams: Arc<BeamGeometry>,
     ranges: Vec<f64>,
     valid: usize,
+    /// From one ray to the next, s.
+    time_increment: f64,
 }
 
 impl Scan {
@@ -178,12 +186,43 @@ impl Scan {
         if (valid as f64) < MIN_VALID_FRACTION * ranges.len() as f64 {
             return Err(ScanError::TooFewValid { valid, beams: ranges.len() });
         }
-        Ok(Self { stamp, beams, ranges, valid })
+        Ok(Self { stamp, beams, ranges, valid, time_increment: 0.0 })
     }
 
     /// When the scan was taken.
     pub fn stamp(&self) -> Stamp {
         self.stamp
+    }
+
+    /// The same scan, its rays taken one after the other: `time_increment` s apart.
+    #[must_use]
+    pub fn with_time_increment(mut self, time_increment: f64) -> Self {
+        self.time_increment = time_increment;
+        self
+    }
+
+    /// Time from the first ray to the last, s.
+    pub fn sweep_duration(&self) -> f64 {
+        self.time_increment * self.len().saturating_sub(1) as f64
+    }
+
+    /// The scan as the laser would have seen it without moving on from where it was at the first ray: what each ray has met, seen from
+    /// there. `twist`: of the laser, in its own frame.
+    #[must_use]
+    pub fn undistorted(&self, twist: &Twist2) -> Self {
+        let (mut ranges, mut directions) = (self.ranges.clone(), self.beams.directions.clone());
+        for (i, (range, direction)) in ranges.iter_mut().zip(&mut directions).enumerate() {
+            let motion = twist.motion(i as f64 * self.time_increment).transform();
+            if range.is_nan() {
+                *direction = motion.rotate(*direction);
+            } else {
+                let point = motion.apply(*direction * *range);
+                *range = point.norm();
+                *direction = point / *range;
+            }
+        }
+        let beams = BeamGeometry { directions, is_even: false, ..*self.beams };
+        Self { stamp: self.stamp, beams: Arc::new(beams), ranges, valid: self.valid, time_increment: 0.0 }
     }
 
     /// Directions of its beams.
@@ -243,7 +282,9 @@ impl ScanConverter {
         let angle_increment = side * f64::from(message.angle_increment);
         let beams = self.beams(angle_min, angle_increment, message.ranges.len());
         let limits = (f64::from(message.range_min), f64::from(message.range_max));
-        Scan::new(message.header.stamp.into(), beams, limits, message.ranges.iter().map(|&range| f64::from(range)))
+        let ranges = message.ranges.iter().map(|&range| f64::from(range));
+        let scan = Scan::new(message.header.stamp.into(), beams, limits, ranges)?;
+        Ok(scan.with_time_increment(message.time_increment.into()))
     }
 
     fn beams(&mut self, angle_min: f64, angle_increment: f64, len: usize) -> Arc<BeamGeometry> {
@@ -295,4 +336,26 @@ fn check_header(message: &LaserScan) -> Result<(), ScanError> {
         return Err(ScanError::EmptyRangeInterval { min: message.range_min.into(), max: message.range_max.into() });
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wall_seen_in_passing_is_straight_again() {
+        // Past the wall y = 2 and turning: 20 ms from the first ray to the last.
+        let twist = Twist2 { vx: 7.0, vy: 0.0, omega: 3.0 };
+        let beams = BeamGeometry::new(0.6, 0.01, 181);
+        let increment = 0.02 / 180.0;
+        let range = |(i, direction): (usize, &Point)| {
+            let motion = twist.motion(i as f64 * increment);
+            (2.0 - motion.y) / motion.transform().rotate(*direction).y
+        };
+        let ranges = beams.directions().iter().enumerate().map(range).collect::<Vec<_>>();
+        let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), ranges).unwrap().with_time_increment(increment);
+        let off = |scan: &Scan| (0..scan.len()).map(|i| (scan.point(i).unwrap().y - 2.0).abs()).fold(0.0, f64::max);
+        assert!(off(&scan) > 0.05 && off(&scan.undistorted(&twist)) < 1e-9);
+        assert!((scan.sweep_duration() - 0.02).abs() < 1e-12 && scan.undistorted(&twist).sweep_duration() == 0.0);
+    }
 }

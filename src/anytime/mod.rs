@@ -137,7 +137,7 @@ impl<'a> Driver<'a> {
 
     fn is_good_enough(&self, refinement: &mut Refinement) -> bool {
         let contract = &self.task.contract;
-        contract.has_error_bound() && {
+        contract.has_error_bound() && !refinement.is_searching() && {
             let rest = left_to_converge(refinement);
             // The uncertainty takes longer to compute.
             contract.is_satisfied_by(rest.translation, rest.rotation) && {

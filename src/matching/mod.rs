@@ -32,6 +32,8 @@ pub use view::View;
 
 /// Pairs without which no pose is determined.
 const FEWEST_PAIRS: u32 = 3;
+/// Refinements of one match at most: from the first guess, and from what a search has found.
+const STAGES: usize = 2;
 /// What a search finds must have more than this part of the rays agree.
 const LIKELY_AGREEMENT: f64 = 0.5;
 /// Rays that the search makes do with.
@@ -204,7 +206,7 @@ impl Matcher {
             search: Search::default(),
             fitter: LineFitter::default(),
             rays_chosen: 0,
-            trace: Vec::with_capacity(knobs.max_iterations as usize),
+            trace: Vec::with_capacity(STAGES * knobs.max_iterations as usize),
             knobs: knobs.clone(),
         }
     }
@@ -431,6 +433,11 @@ impl Refinement<'_> {
     /// Number of sensed rays that carry a measurement.
     pub fn rays(&self) -> usize {
         self.scan.valid_len()
+    }
+
+    /// Whether other starts are being tried, because the scans agree too little at [`Self::pose`].
+    pub fn is_searching(&self) -> bool {
+        matches!(self.stage, Stage::Search)
     }
 
     /// Part of the rays that end where the reference has a surface, of those that end where it sees; `None` where pairs say nothing of

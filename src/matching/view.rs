@@ -47,7 +47,30 @@ impl View {
         let mut surfaces = Vec::with_capacity(scan.len() + 1);
         fitter.fit(scan, noise, &mut surfaces);
         surfaces.push(Surface::NONE);
-        Self { scan: scan.clone(), surfaces }
+        let mut view = Self { scan: scan.clone(), surfaces };
+        if !scan.beams().is_even() {
+            view.sort_by_bearing();
+        }
+        view
+    }
+
+    /// Puts the surfaces where the beams of even spacing would be.
+    fn sort_by_bearing(&mut self) {
+        let bearings = self.bearings();
+        let mut sorted = vec![Surface::NONE; self.surfaces.len()];
+        for (direction, surface) in self.scan.beams().directions().iter().zip(&self.surfaces) {
+            let place = bearings.beam(direction);
+            if place < self.scan.len() && surface.variance < sorted[place].variance {
+                sorted[place] = *surface;
+            }
+        }
+        // Where beams are farther apart than even ones, one place now and then has none.
+        for i in 1..self.scan.len() {
+            if sorted[i].is_none() && !sorted[i + 1].is_none() {
+                sorted[i] = sorted[i - 1];
+            }
+        }
+        self.surfaces = sorted;
     }
 
     /// The scan itself.

@@ -27,6 +27,8 @@ const MAX_PREDICTION_GAP: f64 = 1.0;
 const USUAL_VARIATION: f64 = 0.05;
 /// Weight of the last scan in the usual agreement.
 const USUAL_WEIGHT: f64 = 0.05;
+/// A sweep that takes longer is a mistake of the driver, s.
+const LONGEST_SWEEP: f64 = 1.0;
 /// To either side of a predicted turn so much of it is searched.
 const SEARCHED_PART_OF_TURN: f64 = 1.2;
 
@@ -57,6 +59,10 @@ crate::knobs! {
         keyframe_angle: f64 = 0.35, in 0 to 4, unit "rad";
         /// Pose of the laser in the base frame, `[x, y, yaw]`; unset: from `/tf` or `/tf_static`, else the identity, with a warning.
         laser_in_base: Option<Pose2> = None, unit "m, m, rad";
+        /// Whether to put rays that were taken one after the other where they belong.
+        deskew: bool = true;
+        /// Time from the first ray of a scan to the last, where the driver's `time_increment` does not say; unset: as it says.
+        scan_duration: Option<Seconds> = None, in 0 to 1, unit "s";
         /// Pose of the base at the start, `[x, y, yaw]` in the odom frame.
         initial_pose: Pose2 = Pose2::IDENTITY, unit "m, m, rad";
         /// Longest wait for odometry that is more than 50 ms behind a scan; not longer than the time budget.
@@ -282,6 +288,8 @@ impl LaserOdometry {
         if let Some(answer) = self.answer_by_stamp(scan.stamp()) {
             return answer;
         }
+        let undistorted = self.undistorted(scan, base_from_laser);
+        let scan = undistorted.as_ref().unwrap_or(scan);
         let Some(last) = self.last else { return self.answer_first(scan, base_from_laser) };
         let prediction = self.predict(&last, scan.stamp());
         let attempt = Attempt { last, prediction, base_from_laser: *base_from_laser };
@@ -308,6 +316,20 @@ impl LaserOdometry {
                 self.answer_predicted(scan, &attempt, Some(found.report), problem, becomes_keyframe || !no_time)
             }
         }
+    }
+
+    /// The scan without the distortion by the motion during its sweep, where there is any: at the velocity of the wheels, else of the
+    /// last answers.
+    fn undistorted(&self, scan: &Scan, base_from_laser: &Pose2) -> Option<Scan> {
+        let seconds = self.knobs.scan_duration.map_or(scan.sweep_duration(), |duration| duration.0);
+        if !self.knobs.deskew || seconds <= 0.0 || seconds > LONGEST_SWEEP {
+            return None;
+        }
+        let by_wheels = self.wheels.motion(scan.stamp(), scan.stamp().offset_by(seconds));
+        let motion = by_wheels.or_else(|| Some(self.last?.twist.motion(seconds)))?;
+        let laser_motion = base_from_laser.inverse() * motion * *base_from_laser;
+        let per_ray = seconds / scan.len().saturating_sub(1).max(1) as f64;
+        Some(scan.clone().with_time_increment(per_ray).undistorted(&Twist2::of_motion(&laser_motion, seconds)))
     }
 
     /// Finishes the match of the last scan, if its answer had to be given before: what follows is predicted from the better pose.

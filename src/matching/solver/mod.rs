@@ -212,3 +212,62 @@ fn lift(pose: &Pose2) -> Vector4<f64> {
 fn finite(pose: Pose2) -> Option<Pose2> {
     pose.is_finite().then_some(pose)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn poses() -> impl Strategy<Value = Pose2> {
+        (-5.0..5.0, -5.0..5.0, -3.0..3.0).prop_map(|(x, y, theta)| Pose2::new(x, y, theta))
+    }
+
+    fn pairs() -> impl Strategy<Value = Vec<(Point, Point, f64, f64)>> {
+        let pair = (-9.0..9.0, -9.0..9.0, -3.0_f64..3.0, -9.0..9.0, 0.1..9.0);
+        let pair = pair
+            .prop_map(|(x, y, angle, offset, weight)| (Point::new(x, y), Point::new(angle.cos(), angle.sin()), offset, weight));
+        proptest::collection::vec(pair, 3..9)
+    }
+
+    fn form(pairs: &[(Point, Point, f64, f64)]) -> QuadraticForm {
+        let mut form = QuadraticForm::default();
+        pairs.iter().for_each(|&(p, normal, offset, weight)| form.add_line(p, normal, offset, weight));
+        form
+    }
+
+    fn assert_same(a: f64, b: f64) {
+        assert!((a - b).abs() <= 1e-9 * (1.0 + a.abs().max(b.abs())), "{a} is not {b}");
+    }
+
+    proptest! {
+        #[test]
+        fn a_form_has_the_same_value_seen_from_elsewhere(pairs in pairs(), frame in poses(), pose in poses()) {
+            let form = form(&pairs);
+            assert_same(form.seen_from(&frame).value(&(frame * pose)), form.value(&pose));
+        }
+
+        #[test]
+        fn sums_about_a_pose_make_the_same_form(pairs in pairs(), about in poses(), pose in poses()) {
+            let (mut upper, mut gradient, mut value) = ([0.0; 10], [0.0; 4], 0.0);
+            for &(p, normal, offset, weight) in &pairs {
+                let error = normal.dot(&about.transform().apply(p)) - offset;
+                let a = [normal.x, normal.y, normal.dot(&p), normal.y * p.x - normal.x * p.y];
+                let products = (0..4).flat_map(|i| (i..4).map(move |j| (i, j)));
+                products.enumerate().for_each(|(k, (i, j))| upper[k] += weight * a[i] * a[j]);
+                (0..4).for_each(|i| gradient[i] += weight * a[i] * error);
+                value += weight * error * error;
+            }
+            assert_same(QuadraticForm::about(&about, &upper, &gradient, value).value(&pose), form(&pairs).value(&pose));
+        }
+
+        #[test]
+        fn a_prior_is_least_at_its_pose_and_curves_as_its_covariance_says(pose in poses(), x in 0.01..1.0, y in 0.01..1.0, heading in 0.01..1.0) {
+            let covariance = PoseCovariance::from_diagonal(&[x * x, y * y, heading * heading].into());
+            let prior = QuadraticForm::of_prior(&pose, &covariance, 1e-4);
+            let (gradient, hessian) = prior.linearize(&pose);
+            assert!(gradient.norm() < 1e-9 && prior.value(&pose).abs() < 1e-9);
+            assert!((hessian - 2e-4 * covariance.try_inverse().unwrap()).norm() < 1e-6 * hessian.norm());
+            assert!(prior.value(&Pose2::new(pose.x, pose.y, pose.theta + 3.1)) > 0.0, "the opposite heading is another one");
+        }
+    }
+}
