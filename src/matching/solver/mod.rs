@@ -231,7 +231,9 @@ mod tests {
 
     fn form(pairs: &[(Point, Point, f64, f64)]) -> QuadraticForm {
         let mut form = QuadraticForm::default();
-        pairs.iter().for_each(|&(p, normal, offset, weight)| form.add_line(p, normal, offset, weight));
+        for &(p, normal, offset, weight) in pairs {
+            form.add_line(p, normal, offset, weight);
+        }
         form
     }
 
