@@ -207,12 +207,13 @@ impl Scan {
     }
 
     /// The scan as the laser would have seen it without moving on from where it was at the first ray: what each ray has met, seen from
-    /// there. `twist`: of the laser, in its own frame.
+    /// there. `twist`: of the laser, in its own frame; `sweep_duration`: from the first ray to the last, s.
     #[must_use]
-    pub fn undistorted(&self, twist: &Twist2) -> Self {
+    pub fn undistorted(&self, twist: &Twist2, sweep_duration: f64) -> Self {
         let (mut ranges, mut directions) = (self.ranges.clone(), self.beams.directions.clone());
+        let time_increment = sweep_duration / self.len().saturating_sub(1).max(1) as f64;
         for (i, (range, direction)) in ranges.iter_mut().zip(&mut directions).enumerate() {
-            let motion = twist.motion(i as f64 * self.time_increment).transform();
+            let motion = twist.motion(i as f64 * time_increment).transform();
             if range.is_nan() {
                 *direction = motion.rotate(*direction);
             } else {
@@ -355,7 +356,8 @@ mod tests {
         let ranges = beams.directions().iter().enumerate().map(range).collect::<Vec<_>>();
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), ranges).unwrap().with_time_increment(increment);
         let off = |scan: &Scan| (0..scan.len()).map(|i| (scan.point(i).unwrap().y - 2.0).abs()).fold(0.0, f64::max);
-        assert!(off(&scan) > 0.05 && off(&scan.undistorted(&twist)) < 1e-9);
-        assert!((scan.sweep_duration() - 0.02).abs() < 1e-12 && scan.undistorted(&twist).sweep_duration() == 0.0);
+        let undistorted = scan.undistorted(&twist, scan.sweep_duration());
+        assert!(off(&scan) > 0.05 && off(&undistorted) < 1e-9);
+        assert!((scan.sweep_duration() - 0.02).abs() < 1e-12 && undistorted.sweep_duration() == 0.0);
     }
 }

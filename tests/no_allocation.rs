@@ -22,7 +22,7 @@ fn a_warm_match_allocates_nothing() {
         for &solver in SolverKind::ALL {
             let knobs = MatchingKnobs { correspondence, solver, ..MatchingKnobs::default() };
             let mut matcher = Matcher::new(&knobs, &RejectionKnobs::default());
-            let views: Vec<_> = scans.iter().map(|scan| [PlacedView::at_origin(matcher.view(scan))]).collect();
+            let views: Vec<_> = scans.iter().map(|scan| [PlacedView::at_origin(matcher.view(scan.clone()))]).collect();
             let run = |matcher: &mut Matcher, with_reference: bool| {
                 for (view, sensed) in views.iter().zip(&scans[1..]) {
                     if with_reference {

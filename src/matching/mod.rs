@@ -21,7 +21,6 @@ use crate::geometry::{Point, Pose2, PoseCovariance};
 use crate::scan::Scan;
 use correspondence::Correspondence;
 pub use covariance::Uncertainty;
-use line_fit::LineFitter;
 pub use pairing::PlacedView;
 use pairing::{Agreement, ClosestPoint, Pairing, Pairs, Projective};
 use ray_order::RayOrder;
@@ -183,7 +182,6 @@ pub struct Matcher {
     pairing: Box<dyn Pairing>,
     solver: Box<dyn Solver>,
     search: Search,
-    fitter: LineFitter,
     /// Number of rays asked for when they were chosen; 0: not yet.
     rays_chosen: usize,
     trace: Vec<IterationTrace>,
@@ -193,9 +191,7 @@ impl Matcher {
     /// A matcher with these knobs.
     pub fn new(knobs: &MatchingKnobs, rejection: &RejectionKnobs) -> Self {
         let noise = knobs.range_noise;
-        // There are no points to be had but those on the lines.
-        let is_of_lines = knobs.correspondence == Correspondence::Projective;
-        let solver = if is_of_lines && knobs.solver == SolverKind::PointToPoint { SolverKind::PointToLine } else { knobs.solver };
+        let solver = if knobs.correspondence.serves(knobs.solver) { knobs.solver } else { SolverKind::PointToLine };
         let pairing: Box<dyn Pairing> = match knobs.correspondence.search() {
             Some(search) => Box::new(ClosestPoint::new(search, rejection, knobs.max_correspondence_distance, noise)),
             None => Box::new(Projective::new(noise)),
@@ -204,7 +200,6 @@ impl Matcher {
             pairing,
             solver: solver.solver(),
             search: Search::default(),
-            fitter: LineFitter::default(),
             rays_chosen: 0,
             trace: Vec::with_capacity(STAGES * knobs.max_iterations as usize),
             knobs: knobs.clone(),
@@ -212,13 +207,13 @@ impl Matcher {
     }
 
     /// Prepares a scan to be matched to.
-    pub fn view(&mut self, scan: &Scan) -> Arc<View> {
-        Arc::new(View::of(scan, self.knobs.range_noise, &mut self.fitter))
+    pub fn view(&mut self, scan: Scan) -> Arc<View> {
+        Arc::new(self.pairing.view(scan))
     }
 
     /// Sets the scan that the next ones are matched to.
     pub fn set_reference(&mut self, scan: &Scan) {
-        let view = self.view(scan);
+        let view = self.view(scan.clone());
         self.set_views(&[PlacedView::at_origin(view)]);
     }
 

@@ -8,6 +8,8 @@
 pub(super) struct RayOrder {
     shift: u32,
     limit: u64,
+    /// All rays in the order's beginning are multiples of this, a power of two.
+    stride: usize,
 }
 
 impl RayOrder {
@@ -15,13 +17,14 @@ impl RayOrder {
     pub(super) fn first(count: usize, total: usize) -> Self {
         let places = total.max(2).next_power_of_two();
         let limit = if count >= total { places as u64 } else { (count as u64 * places as u64).div_ceil(total as u64) };
-        Self { shift: u64::BITS - places.trailing_zeros(), limit }
+        let stride = places / usize::try_from(limit.next_power_of_two()).unwrap_or(places).min(places);
+        Self { shift: u64::BITS - places.trailing_zeros(), limit, stride }
     }
 
     /// Whether ray `i` is among them.
     #[inline]
     pub(super) fn contains(&self, i: usize) -> bool {
-        (i as u64).reverse_bits() >> self.shift < self.limit
+        i & (self.stride - 1) == 0 && (self.limit.is_power_of_two() || (i as u64).reverse_bits() >> self.shift < self.limit)
     }
 }
 

@@ -1,10 +1,10 @@
 //! What a laser saw from one place, ready to be matched to: at every beam, the surface that it met.
 
+use std::f32::consts::{FRAC_PI_2, PI};
 use std::f64::consts::TAU;
 
-use wide::f32x8;
+use fearless_simd::{Simd, f32x8, i32x8, prelude::*};
 
-use super::line_fit::LineFitter;
 use crate::geometry::Point;
 use crate::scan::Scan;
 
@@ -37,18 +37,21 @@ impl Surface {
 #[derive(Clone, Debug)]
 pub struct View {
     scan: Scan,
-    /// By beam; one more at the end, for all that is out of sight.
+    /// By beam, and one more at the end for all that is out of sight; empty where none were asked for.
     surfaces: Vec<Surface>,
 }
 
 impl View {
-    /// Fits the surfaces of a scan. `noise`: standard deviation of a range, m.
-    pub(super) fn of(scan: &Scan, noise: f64, fitter: &mut LineFitter) -> Self {
-        let mut surfaces = Vec::with_capacity(scan.len() + 1);
-        fitter.fit(scan, noise, &mut surfaces);
+    /// A scan that no surfaces are needed of.
+    pub(super) fn bare(scan: Scan) -> Self {
+        Self { scan, surfaces: Vec::new() }
+    }
+
+    /// A scan and the surface at each of its beams.
+    pub(super) fn new(scan: Scan, mut surfaces: Vec<Surface>) -> Self {
         surfaces.push(Surface::NONE);
-        let mut view = Self { scan: scan.clone(), surfaces };
-        if !scan.beams().is_even() {
+        let mut view = Self { scan, surfaces };
+        if !view.scan.beams().is_even() {
             view.sort_by_bearing();
         }
         view
@@ -112,29 +115,62 @@ pub(super) struct Bearings {
 
 impl Bearings {
     /// The beams that look towards points, next to it at least; past the last one where none does.
-    #[inline]
-    #[allow(clippy::cast_sign_loss)] // clamped
-    pub(super) fn beams(&self, x: f32x8, y: f32x8) -> [usize; 8] {
-        let turn = f32x8::splat(self.turn);
-        let offset = (y.atan2(x) - f32x8::splat(self.angle_min)) * f32x8::splat(self.per_radian) + f32x8::HALF;
-        let offset = offset + (offset.simd_lt(f32x8::ZERO) & turn);
-        let offset = offset - (offset.simd_ge(turn) & turn);
-        let beams = offset.fast_max(f32x8::ZERO).fast_min(f32x8::splat(self.beams));
-        beams.fast_trunc_int().to_array().map(|beam| beam as usize)
+    #[inline(always)]
+    pub(super) fn beams<S: Simd>(&self, x: f32x8<S>, y: f32x8<S>) -> [i32; 8] {
+        let offset = (angle(x, y) - self.angle_min) * self.per_radian + 0.5;
+        let offset = offset - (offset / self.turn).floor() * self.turn;
+        offset.max(0.0).min(self.beams).to_int::<i32x8<S>>().into()
     }
 
     /// The beam that looks towards one point.
-    #[allow(clippy::cast_possible_truncation)] // to single precision
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most the number of beams
     pub(super) fn beam(&self, point: &Point) -> usize {
-        self.beams(f32x8::splat(point.x as f32), f32x8::splat(point.y as f32))[0]
+        let offset = (point.y.atan2(point.x) - f64::from(self.angle_min)) * f64::from(self.per_radian) + 0.5;
+        offset.rem_euclid(self.turn.into()).min(self.beams.into()) as usize
     }
+}
+
+/// Angles of vectors, rad: Abramowitz and Stegun 4.4.49, to 2e-8 and single precision.
+#[inline(always)]
+fn angle<S: Simd>(x: f32x8<S>, y: f32x8<S>) -> f32x8<S> {
+    const COEFFICIENTS: [f32; 9] = [
+        0.002_866_225_7,
+        -0.016_165_736_7,
+        0.042_909_613_8,
+        -0.075_289_64,
+        0.106_562_639_3,
+        -0.142_088_994_4,
+        0.199_935_508_5,
+        -0.333_331_452_8,
+        1.0,
+    ];
+    let (width, height) = (x.abs(), y.abs());
+    let is_steep = height.simd_gt(width);
+    let slope = width.min(height) / width.max(height).max(f32::MIN_POSITIVE);
+    let square = slope * slope;
+    let mut angle = f32x8::splat(x.token(), 0.0);
+    for coefficient in COEFFICIENTS {
+        angle = angle.mul_add(square, coefficient);
+    }
+    let angle = slope * angle;
+    let angle = is_steep.select(-angle + FRAC_PI_2, angle);
+    let angle = x.simd_lt(0.0).select(-angle + PI, angle);
+    angle.copysign(y)
 }
 
 #[cfg(test)]
 mod tests {
+    use fearless_simd::{Level, dispatch};
+
     use super::*;
     use crate::scan::BeamGeometry;
     use crate::time::Stamp;
+
+    fn beams_at(view: &View, point: &Point) -> [i32; 8] {
+        let bearings = view.bearings();
+        let (x, y) = (point.x as f32, point.y as f32);
+        dispatch!(Level::new(), simd => bearings.beams(f32x8::splat(simd, x), f32x8::splat(simd, y)))
+    }
 
     #[test]
     fn every_beam_finds_itself_whichever_way_the_laser_sweeps() {
@@ -143,9 +179,10 @@ mod tests {
         for (angle_min, increment, count) in geometries {
             let beams = BeamGeometry::new(angle_min, increment, count);
             let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), vec![2.0; count]).unwrap();
-            let view = View::of(&scan, 0.01, &mut LineFitter::default());
+            let view = View::bare(scan);
             for (i, point) in view.points().enumerate() {
                 assert_eq!(view.bearings().beam(&point), i, "{angle_min} {increment}");
+                assert_eq!(beams_at(&view, &point), [i32::try_from(i).unwrap(); 8], "{angle_min} {increment}");
             }
         }
     }
@@ -154,7 +191,9 @@ mod tests {
     fn out_of_sight_is_the_last_surface() {
         let beams = BeamGeometry::new(-1.0, 0.01, 201);
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), vec![2.0; 201]).unwrap();
-        let view = View::of(&scan, 0.01, &mut LineFitter::default());
-        assert!(view.surfaces()[view.bearings().beam(&Point::new(-1.0, 0.1))].is_none());
+        let view = View::new(scan, vec![Surface { variance: 1.0, ..Surface::NONE }; 201]);
+        let out_of_sight = Point::new(-1.0, 0.1);
+        assert!(view.surfaces()[view.bearings().beam(&out_of_sight)].is_none());
+        assert!(view.surfaces()[beams_at(&view, &out_of_sight)[0] as usize].is_none());
     }
 }

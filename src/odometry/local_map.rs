@@ -37,11 +37,6 @@ pub(super) struct LocalMap {
 }
 
 impl LocalMap {
-    /// Whether there is no keyframe.
-    pub(super) fn is_empty(&self) -> bool {
-        self.keyframes.is_empty()
-    }
-
     /// Forgets all keyframes.
     pub(super) fn clear(&mut self) {
         self.keyframes.clear();
@@ -72,12 +67,12 @@ impl LocalMap {
             }
         }
         self.near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        views.clear();
         let first = self.keyframes[self.near.first()?.1].place;
         let placed = |&(_, i): &(f64, usize)| {
             let Keyframe { place, view } = &self.keyframes[i];
             PlacedView { reference_from_view: first.odom_from_laser.between(&place.odom_from_laser), view: Arc::clone(view) }
         };
-        views.clear();
         views.extend(self.near.iter().take(count).map(placed));
         Some(first)
     }
@@ -94,7 +89,7 @@ mod tests {
     fn map(places: &[f64], most: usize) -> LocalMap {
         let beams = BeamGeometry::new(0.0, 0.1, 30);
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 10.0), vec![1.0; 30]).unwrap();
-        let view = Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default()).view(&scan);
+        let view = Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default()).view(scan);
         let mut map = LocalMap::default();
         for &x in places {
             let place = Placement { odom_from_laser: Pose2::new(x, 0.0, 0.0), covariance: PoseCovariance::zeros() };

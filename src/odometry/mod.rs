@@ -328,8 +328,7 @@ impl LaserOdometry {
         let by_wheels = self.wheels.motion(scan.stamp(), scan.stamp().offset_by(seconds));
         let motion = by_wheels.or_else(|| Some(self.last?.twist.motion(seconds)))?;
         let laser_motion = base_from_laser.inverse() * motion * *base_from_laser;
-        let per_ray = seconds / scan.len().saturating_sub(1).max(1) as f64;
-        Some(scan.clone().with_time_increment(per_ray).undistorted(&Twist2::of_motion(&laser_motion, seconds)))
+        Some(scan.undistorted(&Twist2::of_motion(&laser_motion, seconds), seconds))
     }
 
     /// Finishes the match of the last scan, if its answer had to be given before: what follows is predicted from the better pose.
@@ -392,14 +391,16 @@ impl LaserOdometry {
     /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register`] does it otherwise.
     pub fn maintain(&mut self) {
         self.unfinished = None;
-        let takes_turns = self.knobs.reference == ReferenceChoice::LocalMap && !self.map.is_empty();
-        if let Some((scan, place)) = self.upcoming_keyframe.take() {
-            let most = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.max_keyframes } else { 1 };
-            self.map.add(Keyframe { place, view: self.matcher.view(&scan) }, most as usize);
-        } else if !takes_turns || self.keyframe.is_none() {
-            return;
+        let keeps_map = self.knobs.reference == ReferenceChoice::LocalMap;
+        let upcoming = self.upcoming_keyframe.take();
+        let changes = upcoming.is_some() || keeps_map;
+        if let Some((scan, place)) = upcoming {
+            let most = if keeps_map { self.knobs.max_keyframes } else { 1 };
+            self.map.add(Keyframe { place, view: self.matcher.view(scan) }, most as usize);
         }
-        self.choose_views();
+        if changes {
+            self.choose_views();
+        }
     }
 
     /// The next scan is matched to the keyframes around the last one.

@@ -41,11 +41,10 @@ pub struct VariantError {
 }
 
 impl Variant {
-    /// Every search with every solver that is another with it.
+    /// Every search with every solver that it serves.
     pub fn all() -> Vec<Self> {
         let with = |&search| SolverKind::ALL.iter().map(move |&solver| Self { search, solver });
-        let differs = |variant: &Self| variant.search != Correspondence::Projective || variant.solver != SolverKind::PointToPoint;
-        Correspondence::ALL.iter().flat_map(with).filter(differs).collect()
+        Correspondence::ALL.iter().flat_map(with).filter(|variant| variant.search.serves(variant.solver)).collect()
     }
 
     /// Sets the variant in a configuration.

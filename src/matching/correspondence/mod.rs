@@ -9,6 +9,7 @@ mod naive;
 
 use crate::geometry::Point;
 use crate::matching::reference::{NO_RAY, Reference};
+use crate::matching::solver::SolverKind;
 
 /// The nearest reference ray of one sensed point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,6 +56,11 @@ crate::choices! {
 }
 
 impl Correspondence {
+    /// Whether pairs of this kind are what a solver solves for: projective ones have no points but those on the lines.
+    pub fn serves(self, solver: SolverKind) -> bool {
+        self != Self::Projective || solver != SolverKind::PointToPoint
+    }
+
     /// A search of this kind, where it is one for the nearest ray.
     pub fn search(self) -> Option<Box<dyn CorrespondenceSearch>> {
         match self {

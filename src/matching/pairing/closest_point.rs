@@ -1,6 +1,8 @@
 //! Pairs a point with the segment at its nearest reference point, as PL-ICP does (Censi 2008), and leaves out the worst pairs. Of the
 //! views of a reference only the first takes part.
 
+use std::sync::Arc;
+
 use super::{Metric, Pairing, Pairs, PlacedView};
 use crate::geometry::{Point, Pose2};
 use crate::matching::correspondence::{CorrespondenceSearch, Nearest};
@@ -9,6 +11,7 @@ use crate::matching::ray_order::RayOrder;
 use crate::matching::reference::Reference;
 use crate::matching::rejection::{Pair, Rejection, RejectionKnobs};
 use crate::matching::solver::QuadraticForm;
+use crate::matching::view::View;
 use crate::matching::{FirstGuess, Uncertainty};
 use crate::scan::Scan;
 
@@ -18,6 +21,8 @@ pub(in crate::matching) struct ClosestPoint {
     search: Box<dyn CorrespondenceSearch>,
     rejection: Rejection,
     uncertainty: UncertaintyEstimator,
+    /// Whose scan the reference is.
+    view: Option<Arc<View>>,
     reference: Reference,
     sensed: Vec<Point>,
     moved: Vec<Point>,
@@ -39,6 +44,7 @@ impl ClosestPoint {
             search,
             rejection: Rejection::new(rejection.clone()),
             uncertainty: UncertaintyEstimator::default(),
+            view: None,
             reference: Reference::default(),
             sensed: Vec::new(),
             moved: Vec::new(),
@@ -72,10 +78,16 @@ impl ClosestPoint {
 
 #[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
 impl Pairing for ClosestPoint {
+    fn view(&mut self, scan: Scan) -> View {
+        View::bare(scan)
+    }
+
     fn set_views(&mut self, views: &[PlacedView]) {
-        if let Some(first) = views.first() {
-            self.reference.set(first.view.scan());
+        let first = views.first().map(|placed| &placed.view);
+        if let Some(view) = first.filter(|view| self.view.as_ref().is_none_or(|known| !Arc::ptr_eq(known, view))) {
+            self.reference.set(view.scan());
             self.search.prepare(&self.reference);
+            self.view = Some(Arc::clone(view));
         }
     }
 

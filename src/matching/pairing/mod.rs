@@ -66,6 +66,9 @@ impl Agreement {
 
 /// A way to pair the points of a sensed scan with the views of a reference.
 pub(super) trait Pairing: Send {
+    /// Prepares a scan to be matched to.
+    fn view(&mut self, scan: Scan) -> View;
+
     /// Sets what the next scans are matched to: one view at least, the first of them at the origin.
     fn set_views(&mut self, views: &[PlacedView]);
 

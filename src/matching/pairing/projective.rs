@@ -6,15 +6,16 @@
 //! is the error of the guess: all weigh alike, and the kernel is wide. As the scans come to lie on each other it falls to what
 //! surfaces are uneven, and grazing rays, which know best, count.
 
+use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, mask32x8, prelude::*};
 use nalgebra::{Matrix2, SymmetricEigen};
-use wide::f32x8;
 
 use super::{Agreement, Metric, Pairing, Pairs, PlacedView};
 use crate::geometry::{Point, Pose2};
 use crate::matching::covariance::condition_number;
+use crate::matching::line_fit::LineFitter;
 use crate::matching::ray_order::RayOrder;
 use crate::matching::solver::QuadraticForm;
-use crate::matching::view::Surface;
+use crate::matching::view::{Bearings, Surface, View};
 use crate::matching::{FirstGuess, Prior, Uncertainty};
 use crate::scan::Scan;
 
@@ -24,12 +25,12 @@ const KERNEL_SIGMAS: f64 = 3.0;
 const FIRST_WIDTH: f64 = 0.3;
 /// From iteration to iteration the floor falls to this part of it at least: what fits first need not fit best.
 const STEEPEST: f64 = 0.16;
-/// It has come to rest when it falls to no less than this part.
-const RESTING: f64 = 0.7;
 /// And to this part of it at most, while it is above [`MOST_FLOOR`] ...
 const GENTLEST: f64 = 0.5;
 /// ... which stands for 3 cm: what errs more is no unevenness, but something that has moved.
 const MOST_FLOOR: f64 = 9.0;
+/// The floor has come to rest when it falls to no less than this part of it.
+const RESTING: f64 = 0.7;
 /// Least floor, in units of a range's variance: surfaces are uneven, beams are wide.
 const LEAST_FLOOR: f64 = 0.15;
 /// The pairs of neighbouring rays err alike, so that all together know less than their variances say: by this factor of the variance.
@@ -53,34 +54,48 @@ struct Sensed {
     x: Vec<Lanes>,
     /// m.
     y: Vec<Lanes>,
-    /// One by the squared range, 1/m^2.
+    /// One by the squared range, 1/m^2; 0 past the last ray.
     inverse_square: Vec<Lanes>,
     mean_range: f64,
 }
 
 impl Sensed {
     #[allow(clippy::cast_possible_truncation)] // to single precision
-    fn set(&mut self, points: impl Iterator<Item = Point>) {
+    fn set(&mut self, rays: impl Iterator<Item = (Point, f64)>) {
         self.x.clear();
         self.y.clear();
         self.inverse_square.clear();
         self.len = 0;
         let mut ranges = 0.0;
-        for point in points {
+        for (direction, range) in rays {
+            let point = direction * range;
             let lane = self.len % LANES;
             if lane == 0 {
                 self.x.push([1.0; LANES]);
                 self.y.push([0.0; LANES]);
-                self.inverse_square.push([1.0; LANES]);
+                self.inverse_square.push([0.0; LANES]);
             }
             let last = self.len / LANES;
             self.x[last][lane] = point.x as f32;
             self.y[last][lane] = point.y as f32;
-            self.inverse_square[last][lane] = point.norm_squared().recip() as f32;
-            ranges += point.norm();
+            self.inverse_square[last][lane] = (range * range).recip() as f32;
+            ranges += range;
             self.len += 1;
         }
         self.mean_range = ranges / self.len.max(1) as f64;
+    }
+
+    /// Rays that end near a surface, roughly.
+    #[inline(always)]
+    fn score<S: Simd>(&self, simd: S, onto: &Onto) -> u32 {
+        let mut agreeing = 0;
+        for ((x, y), inverse_square) in self.x.iter().zip(&self.y).zip(&self.inverse_square) {
+            let moved = onto.pair(simd, x, y);
+            let agrees = moved.error.abs().simd_lt(ROUGH_AGREEMENT) & moved.partners.found;
+            let is_ray = f32x8::from_slice(simd, inverse_square).simd_gt(0.0);
+            agreeing += (agrees & is_ray).to_bitmask().count_ones();
+        }
+        agreeing
     }
 
     fn points(&self) -> impl Iterator<Item = Point> + '_ {
@@ -90,61 +105,85 @@ impl Sensed {
 }
 
 /// The surfaces that a block of rays is paired with.
-struct Partners {
-    normal_x: f32x8,
-    normal_y: f32x8,
-    offset: f32x8,
-    variance: f32x8,
-    turn_variance: f32x8,
+struct Partners<S: Simd> {
+    normal_x: f32x8<S>,
+    normal_y: f32x8<S>,
+    offset: f32x8<S>,
+    variance: f32x8<S>,
+    turn_variance: f32x8<S>,
+    found: mask32x8<S>,
 }
 
-impl Partners {
-    /// `rays`: of the block, as many as it has.
-    #[inline]
-    fn gather(surfaces: &[Surface], beams: &[usize; LANES], rays: usize) -> Self {
-        let (mut normal_x, mut normal_y, mut offset, mut turn_variance) =
-            ([0.0; LANES], [0.0; LANES], [0.0; LANES], [0.0; LANES]);
-        let mut variance = [Surface::NONE.variance; LANES];
-        for (l, &beam) in beams.iter().enumerate().take(rays) {
-            let surface = &surfaces[beam];
-            normal_x[l] = surface.normal[0];
-            normal_y[l] = surface.normal[1];
-            offset[l] = surface.offset;
-            variance[l] = surface.variance;
-            turn_variance[l] = surface.turn_variance;
+impl<S: Simd> Partners<S> {
+    #[inline(always)]
+    #[allow(clippy::cast_sign_loss)] // the surfaces' indices
+    fn gather(simd: S, surfaces: &[Surface], beams: [i32; LANES]) -> Self {
+        let mut turn_variance = [0.0; LANES];
+        let mut row = |lane: usize| {
+            let Surface { normal: [x, y], offset, variance, turn_variance: turn } = surfaces[beams[lane] as usize];
+            turn_variance[lane] = turn;
+            f32x4::from_slice(simd, &[x, y, offset, variance])
+        };
+        let low = transposed([row(0), row(1), row(2), row(3)]);
+        let high = transposed([row(4), row(5), row(6), row(7)]);
+        let variance = low[3].combine(high[3]);
+        Self {
+            normal_x: low[0].combine(high[0]),
+            normal_y: low[1].combine(high[1]),
+            offset: low[2].combine(high[2]),
+            variance,
+            turn_variance: f32x8::from_slice(simd, &turn_variance),
+            found: variance.simd_lt(Surface::NONE.variance),
         }
-        let [normal_x, normal_y, offset, variance, turn_variance] =
-            [normal_x, normal_y, offset, variance, turn_variance].map(f32x8::new);
-        Self { normal_x, normal_y, offset, variance, turn_variance }
-    }
-
-    /// All bits of the lanes that have one.
-    #[inline]
-    fn found(&self) -> f32x8 {
-        self.variance.simd_lt(f32x8::splat(Surface::NONE.variance))
     }
 }
 
-/// A pose that moves many points.
-struct Motion {
-    cos: f32x8,
-    sin: f32x8,
-    x: f32x8,
-    y: f32x8,
+/// Rows from columns.
+#[inline(always)]
+fn transposed<S: Simd>([a, b, c, d]: [f32x4<S>; 4]) -> [f32x4<S>; 4] {
+    let (ac_low, bd_low) = (a.zip_low(c), b.zip_low(d));
+    let (ac_high, bd_high) = (a.zip_high(c), b.zip_high(d));
+    [ac_low.zip_low(bd_low), ac_low.zip_high(bd_low), ac_high.zip_low(bd_high), ac_high.zip_high(bd_high)]
 }
 
-impl Motion {
+/// A block of rays moved to a pose.
+struct Moved<S: Simd> {
+    /// In the sensed scan's frame, m.
+    point: [f32x8<S>; 2],
+    /// Turned into the view's frame, but not shifted.
+    turned: [f32x8<S>; 2],
+    partners: Partners<S>,
+    /// Signed distance from the partners, m.
+    error: f32x8<S>,
+}
+
+/// A pose that moves many points, and what it moves them to.
+struct Onto<'a> {
+    surfaces: &'a [Surface],
+    bearings: Bearings,
+    cos: f32,
+    sin: f32,
+    x: f32,
+    y: f32,
+}
+
+impl<'a> Onto<'a> {
     #[allow(clippy::cast_possible_truncation)] // to single precision
-    fn new(pose: &Pose2) -> Self {
-        let (sin, cos) = pose.theta.sin_cos();
-        let [cos, sin, x, y] = [cos, sin, pose.x, pose.y].map(|v| f32x8::splat(v as f32));
-        Self { cos, sin, x, y }
+    fn new(view: &'a View, view_from_sensed: &Pose2) -> Self {
+        let (sin, cos) = view_from_sensed.theta.sin_cos();
+        let [cos, sin, x, y] = [cos, sin, view_from_sensed.x, view_from_sensed.y].map(|v| v as f32);
+        Self { surfaces: view.surfaces(), bearings: view.bearings(), cos, sin, x, y }
     }
 
-    /// Points turned, but not shifted.
-    #[inline]
-    fn turn(&self, x: f32x8, y: f32x8) -> (f32x8, f32x8) {
-        (self.cos * x - self.sin * y, self.sin * x + self.cos * y)
+    /// The rays of a block, each with its partner.
+    #[inline(always)]
+    fn pair<S: Simd>(&self, simd: S, x: &Lanes, y: &Lanes) -> Moved<S> {
+        let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
+        let turned = [x * self.cos - y * self.sin, x * self.sin + y * self.cos];
+        let (moved_x, moved_y) = (turned[0] + self.x, turned[1] + self.y);
+        let partners = Partners::gather(simd, self.surfaces, self.bearings.beams(moved_x, moved_y));
+        let error = partners.normal_x * moved_x + partners.normal_y * moved_y - partners.offset;
+        Moved { point: [x, y], turned, partners, error }
     }
 }
 
@@ -175,8 +214,8 @@ enum Sum {
     Count,
 }
 
-/// Sums over the pairs of one view, in its frame.
-struct Sums([f32x8; Sum::Count as usize]);
+/// Sums over the pairs of one view, in its frame, by place and lane.
+struct Sums([Lanes; Sum::Count as usize]);
 
 impl Sums {
     fn of(&self, sum: Sum) -> f64 {
@@ -184,7 +223,7 @@ impl Sums {
     }
 
     fn at(&self, place: usize) -> f64 {
-        self.0[place].to_array().map(f64::from).iter().sum()
+        self.0[place].map(f64::from).iter().sum()
     }
 
     fn form(&self, view_from_sensed: &Pose2) -> QuadraticForm {
@@ -223,13 +262,16 @@ impl Totals {
 pub(in crate::matching) struct Projective {
     /// Standard deviation of a range, m.
     noise: f64,
+    /// What the processor can do.
+    level: Level,
+    fitter: LineFitter,
     views: Vec<PlacedView>,
     sensed: Sensed,
     guess: FirstGuess,
     prior: QuadraticForm,
     floor: f64,
     /// Distance of each ray from the nearest surface that it is paired with, m.
-    distances: Vec<f32x8>,
+    distances: Vec<Lanes>,
     form: QuadraticForm,
     totals: Totals,
 }
@@ -238,6 +280,8 @@ impl Projective {
     pub(in crate::matching) fn new(noise: f64) -> Self {
         Self {
             noise,
+            level: Level::new(),
+            fitter: LineFitter::default(),
             views: Vec::new(),
             sensed: Sensed::default(),
             guess: Pose2::IDENTITY.into(),
@@ -250,36 +294,33 @@ impl Projective {
     }
 
     /// The sums over the pairs with one view. Everything is in units of the noise's variance but the errors themselves, m.
+    #[inline(always)]
     #[allow(clippy::cast_possible_truncation)] // to single precision
-    fn sum(&mut self, view: usize, view_from_sensed: &Pose2) -> Sums {
-        let (bearings, surfaces) = (self.views[view].view.bearings(), self.views[view].view.surfaces());
-        let motion = Motion::new(view_from_sensed);
-        let kernel_width = f32x8::splat((KERNEL_SIGMAS * self.noise).powi(2) as f32);
-        let per_square = f32x8::splat((self.noise * self.noise).recip() as f32);
-        let floor = f32x8::splat(self.floor as f32);
-        let mut sums = [f32x8::ZERO; Sum::Count as usize];
-        let mut left = self.sensed.len;
+    fn sum<S: Simd>(&mut self, simd: S, view: usize, view_from_sensed: &Pose2) -> Sums {
+        let onto = Onto::new(&self.views[view].view, view_from_sensed);
+        let kernel_width = (KERNEL_SIGMAS * self.noise).powi(2) as f32;
+        let per_square = (self.noise * self.noise).recip() as f32;
+        let floor = self.floor as f32;
+        let zero = f32x8::splat(simd, 0.0);
+        let mut sums = [zero; Sum::Count as usize];
         let sensed = self.sensed.x.iter().zip(&self.sensed.y).zip(&self.sensed.inverse_square);
-        for (((&px, &py), &inverse_square), distances) in sensed.zip(&mut self.distances) {
-            let [px, py, inverse_square] = [px, py, inverse_square].map(f32x8::new);
-            let (rx, ry) = motion.turn(px, py);
-            let beams = bearings.beams(rx + motion.x, ry + motion.y);
-            let partners = Partners::gather(surfaces, &beams, left.min(LANES));
-            left = left.saturating_sub(LANES);
-
+        for (((x, y), inverse_square), distances) in sensed.zip(&mut self.distances) {
+            let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, x, y);
+            let inverse_square = f32x8::from_slice(simd, inverse_square);
+            // The lanes past the last ray have none.
+            let found = partners.found & inverse_square.simd_gt(0.0);
             let (nx, ny) = (partners.normal_x, partners.normal_y);
-            let found = partners.found() & f32x8::ONE;
-            let facing = nx * rx + ny * ry;
-            let error = facing + nx * motion.x + ny * motion.y - partners.offset;
+            let facing = nx * turned[0] + ny * turned[1];
             let (squared, distance) = (error * error, error.abs());
             let variance = facing * facing * inverse_square + floor + partners.variance;
-            let scale = kernel_width * variance;
+            let scale = variance * kernel_width;
             let kernel = scale / (scale + squared);
-            let by_variance = found / variance;
+            let one = found.select(f32x8::splat(simd, 1.0), zero);
+            let by_variance = one / variance;
             let weight = kernel * kernel * by_variance;
-            let inlier = squared.simd_lt(scale) & found;
+            let inlier = squared.simd_lt(scale).select(one, zero);
 
-            let mut add = |place: usize, value: f32x8| sums[place] += value;
+            let mut add = |place: usize, value: f32x8<S>| sums[place] += value;
             let a = [nx, ny, nx * px + ny * py, ny * px - nx * py];
             let mut place = Sum::Matrix as usize;
             for i in 0..4 {
@@ -297,10 +338,15 @@ impl Projective {
             add(Sum::ExcessWeights as usize, weight * by_variance);
             add(Sum::Residuals as usize, inlier * distance);
             add(Sum::Inliers as usize, inlier);
-            add(Sum::Pairs as usize, found);
-            *distances = distances.fast_min(partners.found().select(distance, f32x8::splat(f32::INFINITY)));
+            add(Sum::Pairs as usize, one);
+            let nearest = found.select(distance, f32x8::splat(simd, f32::INFINITY)).min(f32x8::from_slice(simd, distances));
+            nearest.store_slice(distances);
         }
-        Sums(sums)
+        let mut lanes = [[0.0; LANES]; Sum::Count as usize];
+        for (lanes, sum) in lanes.iter_mut().zip(&sums) {
+            sum.store_slice(lanes);
+        }
+        Sums(lanes)
     }
 
     /// The floor for the next pairs, and whether it has come to rest.
@@ -338,6 +384,12 @@ impl Projective {
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts of rays, and to single precision
 impl Pairing for Projective {
+    fn view(&mut self, scan: Scan) -> View {
+        let mut surfaces = Vec::with_capacity(scan.len() + 1);
+        self.fitter.fit(&scan, self.noise, &mut surfaces);
+        View::new(scan, surfaces)
+    }
+
     fn set_views(&mut self, views: &[PlacedView]) {
         self.views.clear();
         self.views.extend_from_slice(views);
@@ -354,7 +406,7 @@ impl Pairing for Projective {
 
     fn choose_rays(&mut self, scan: &Scan, order: RayOrder) {
         let chosen = scan.rays().enumerate().filter(|(i, _)| order.contains(*i));
-        self.sensed.set(chosen.map(|(_, (_, direction, range))| direction * range));
+        self.sensed.set(chosen.map(|(_, (_, direction, range))| (direction, range)));
     }
 
     fn rays(&self) -> usize {
@@ -366,12 +418,13 @@ impl Pairing for Projective {
             return None;
         }
         self.distances.clear();
-        self.distances.resize(self.sensed.x.len(), f32x8::splat(f32::INFINITY));
+        self.distances.resize(self.sensed.x.len(), [f32::INFINITY; LANES]);
         (self.form, self.totals) = (QuadraticForm::default(), Totals::default());
         for view in 0..self.views.len() {
             let reference_from_view = self.views[view].reference_from_view;
             let view_from_sensed = reference_from_view.between(pose);
-            let sums = self.sum(view, &view_from_sensed);
+            let level = self.level;
+            let sums = dispatch!(level, simd => self.sum(simd, view, &view_from_sensed));
             self.form += sums.form(&view_from_sensed).seen_from(&reference_from_view);
             self.totals.add(&sums);
         }
@@ -415,10 +468,7 @@ impl Pairing for Projective {
     }
 
     fn agreement(&self) -> Option<Agreement> {
-        let within = |limit: f32| -> u32 {
-            let limit = f32x8::splat(limit);
-            self.distances.iter().map(|distances| distances.simd_lt(limit).to_bitmask().count_ones()).sum()
-        };
+        let within = |limit: f32| self.distances.as_flattened().iter().filter(|&&distance| distance < limit).count() as u32;
         Some(Agreement { agreeing: within(AGREEMENT), seen: within(f32::INFINITY) })
     }
 
@@ -432,19 +482,8 @@ impl Pairing for Projective {
 
     fn score(&self, pose: &Pose2) -> u32 {
         let Some(placed) = self.views.first() else { return 0 };
-        let (bearings, surfaces) = (placed.view.bearings(), placed.view.surfaces());
-        let motion = Motion::new(&placed.reference_from_view.between(pose));
-        let (mut agreeing, mut left) = (0, self.sensed.len);
-        for (&px, &py) in self.sensed.x.iter().zip(&self.sensed.y) {
-            let (rx, ry) = motion.turn(f32x8::new(px), f32x8::new(py));
-            let (qx, qy) = (rx + motion.x, ry + motion.y);
-            let partners = Partners::gather(surfaces, &bearings.beams(qx, qy), left.min(LANES));
-            left = left.saturating_sub(LANES);
-            let error = partners.normal_x * qx + partners.normal_y * qy - partners.offset;
-            let agrees = error.abs().simd_lt(f32x8::splat(ROUGH_AGREEMENT)) & partners.found();
-            agreeing += agrees.to_bitmask().count_ones();
-        }
-        agreeing
+        let onto = Onto::new(&placed.view, &placed.reference_from_view.between(pose));
+        dispatch!(self.level, simd => self.sensed.score(simd, &onto))
     }
 
     fn matched_points(&self, pose: &Pose2, points: &mut Vec<(Point, Point)>) {

@@ -1,0 +1,99 @@
+//! Instructions of one match, counted by callgrind: figures that no other program spoils. They are held against those in
+//! `benches/instructions.csv`; `UPDATE_GOLDEN=1` renews these.
+#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
+
+mod walk;
+
+use std::fmt::Write;
+use std::hint::black_box;
+use std::path::Path;
+use std::process::{Command, ExitCode};
+use std::{env, fs};
+
+use anytime_scan_matcher::matching::correspondence::Correspondence;
+use anytime_scan_matcher::matching::rejection::RejectionKnobs;
+use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
+use walk::{LASERS, Laser, Pair, match_pair, walk};
+
+/// Matches that each figure is the mean of.
+const MATCHES: u32 = 20;
+/// A figure that differs by more than this part from the one kept is a change that someone should know of.
+const TOLERANCE: f64 = 0.03;
+/// First argument of the runs that are counted.
+const COUNTED: &str = "--counted";
+const STAGES: [&str; 3] = ["view", "projective", "jump_table"];
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = env::args().skip(1).collect();
+    match arguments.as_slice() {
+        [first, stage, beams] if first == COUNTED => {
+            run(stage, beams.parse().unwrap());
+            ExitCode::SUCCESS
+        }
+        _ => check(),
+    }
+}
+
+/// The program that is counted: of it only [`counted`].
+fn run(stage: &str, beams: usize) {
+    let (degrees, _) = LASERS.into_iter().find(|laser| laser.1 == beams).unwrap();
+    let correspondence = if stage == "jump_table" { Correspondence::JumpTable } else { Correspondence::Projective };
+    let mut matcher = Matcher::new(&MatchingKnobs { correspondence, ..MatchingKnobs::default() }, &RejectionKnobs::default());
+    let pairs = walk(Laser::with_field_of_view(degrees, beams), MATCHES + 1);
+    match_pair(&mut matcher, &pairs[MATCHES as usize], true);
+    for pair in &pairs[..MATCHES as usize] {
+        counted(stage, &mut matcher, pair);
+    }
+}
+
+#[inline(never)]
+fn counted(stage: &str, matcher: &mut Matcher, pair: &Pair) {
+    if stage == "view" {
+        matcher.set_reference(black_box(&pair.reference));
+    } else {
+        black_box(match_pair(matcher, pair, true));
+    }
+}
+
+/// Instructions of one match.
+fn count(stage: &str, beams: usize) -> f64 {
+    let output = Command::new("valgrind")
+        .args(["--tool=callgrind", "--callgrind-out-file=/dev/null", "--toggle-collect=*counted*"])
+        .arg(env::current_exe().unwrap())
+        .args([COUNTED, stage, &beams.to_string()])
+        .output()
+        .unwrap();
+    let log = String::from_utf8_lossy(&output.stderr);
+    let total = log.lines().find_map(|line| line.split("Collected :").nth(1)).unwrap_or_else(|| panic!("no count: {log}"));
+    total.trim().parse::<f64>().unwrap() / f64::from(MATCHES)
+}
+
+fn check() -> ExitCode {
+    if Command::new("valgrind").arg("--version").output().is_err() {
+        eprintln!("SKIPPED: valgrind is not installed; no instructions are counted");
+        return ExitCode::SUCCESS;
+    }
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/instructions.csv");
+    let kept = fs::read_to_string(&file).unwrap_or_default();
+    let mut found = String::from("stage,beams,instructions\n");
+    let mut differ = 0;
+    for stage in STAGES {
+        for (_, beams) in LASERS {
+            let instructions = count(stage, beams);
+            let name = format!("{stage},{beams},");
+            let expected: Option<f64> = kept.lines().find_map(|line| line.strip_prefix(&name)?.parse().ok());
+            let change = expected.map_or(f64::INFINITY, |expected| instructions / expected - 1.0);
+            println!("{stage:>10} {beams:>6} beams: {instructions:>10.0} instructions, {:+.1} %", 100.0 * change);
+            differ += u32::from(change.abs() > TOLERANCE);
+            writeln!(found, "{name}{instructions:.0}").unwrap();
+        }
+    }
+    if env::var_os("UPDATE_GOLDEN").is_some() {
+        fs::write(&file, found).unwrap();
+        return ExitCode::SUCCESS;
+    }
+    if differ > 0 {
+        eprintln!("{differ} figures differ by more than {TOLERANCE} from {}: UPDATE_GOLDEN=1 renews them", file.display());
+    }
+    ExitCode::from(u8::from(differ > 0))
+}
