@@ -1,13 +1,16 @@
 //! The ROS master: waiting for it, and what to do when it goes away and comes back.
 
+use std::collections::HashSet;
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros, resolve};
-use rosrust::{RawMessage, error::ResponseError};
+use rosrust::error::ResponseError;
 
 use super::NodeError;
 use super::log::{Log, print};
 use super::shutdown::StopSignal;
+use super::sockets;
+use super::tcpros::request_topic;
 
 const RETRY_PERIOD: Duration = Duration::from_millis(500);
 
@@ -69,13 +72,24 @@ pub(super) struct MasterLink<'a> {
 }
 
 impl<'a> MasterLink<'a> {
-    /// A node that is registered under these roles; tells the master the types of the topics it subscribes to.
+    /// A node that is registered under these roles. Its publishers are as they shall be from now on.
     pub(super) fn new(ros: &'a Ros, master: &'a Master, roles: Vec<Role>, log: &Log) -> Result<Self, NodeError> {
         let link = Self { ros, master, roles, present: true, log: log.clone() };
-        for role in &link.roles {
-            link.register(role)?;
-        }
+        sockets::tune(&link.ports()?);
         Ok(link)
+    }
+
+    /// The ports that the node publishes by. rosrust does not say; whoever subscribes is told.
+    fn ports(&self) -> Result<HashSet<u16>, NodeError> {
+        let port = |topic: &str| {
+            let address = request_topic(self.ros.uri(), self.ros.name(), &resolved(self.ros, topic)?);
+            address.map(|(_, port)| port).map_err(|error| NodeError::ros(format!("find the port of '{topic}'"), &error))
+        };
+        let published = self.roles.iter().filter_map(|role| match role {
+            Role::Publisher { topic, .. } => Some(*topic),
+            Role::Subscriber { .. } => None,
+        });
+        published.map(port).collect()
     }
 
     /// Whether the master answered when it was last asked.
@@ -98,10 +112,7 @@ impl<'a> MasterLink<'a> {
     }
 
     fn return_to_master(&mut self) -> Change {
-        let outcome = self.roles.iter().try_for_each(|role| {
-            self.reconnect(role)?;
-            self.register(role)
-        });
+        let outcome = self.roles.iter().try_for_each(|role| self.register(role));
         match outcome {
             Ok(()) => {
                 self.log.info("the ROS master was started again: registered again");
@@ -113,16 +124,6 @@ impl<'a> MasterLink<'a> {
                 Change::None
             }
         }
-    }
-
-    /// Connects to the publishers that the new master knows of. rosrust does so for every new subscriber of a topic; the one made here
-    /// shares its links with the one there is and leaves them behind.
-    fn reconnect(&self, role: &Role) -> Result<(), NodeError> {
-        if let Role::Subscriber { topic, .. } = role {
-            let extra = self.ros.subscribe::<RawMessage, _>(topic, 1, |_| ());
-            drop(extra.map_err(|error| NodeError::ros(format!("subscribe to '{topic}' again"), &error))?);
-        }
-        Ok(())
     }
 
     fn register(&self, role: &Role) -> Result<(), NodeError> {

@@ -4,13 +4,14 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
+use rosrust::Service;
 use rosrust::api::{Master, Ros};
-use rosrust::{Service, Subscriber};
 use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
 use super::diagnostics::{self, Diagnostics, Monitor};
 use super::interrupts::Interrupts;
+use super::links::Links;
 use super::log::{Log, ROSOUT};
 use super::mailbox::{Event, Mailbox};
 use super::master::{Change, MasterLink, Role, resolved};
@@ -50,8 +51,7 @@ struct Node<'a> {
     master: MasterLink<'a>,
     matching: thread::JoinHandle<()>,
     log: Log,
-    // Dropping these ends them.
-    _subscribers: Vec<Subscriber>,
+    links: Links<'a>,
     reset: Option<Service>,
 }
 
@@ -77,12 +77,12 @@ impl<'a> Node<'a> {
             .name("matching".into())
             .spawn(|| matcher.run())
             .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
-        let subscribers = Input::ALL.map(|input| subscribe(ros, input, &mailbox, &interrupts, &clock, &log));
-        let subscribers = subscribers.into_iter().collect::<Result<_, _>>()?;
+        let links = Links::new(ros, &clock, &log)?;
+        Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, &mailbox, &interrupts))?;
         let reset = Some(offer_reset(ros, &mailbox)?);
         let master = MasterLink::new(ros, master, roles, &log)?;
         announce(ros, &log, config, &contract)?;
-        Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, log, _subscribers: subscribers, reset })
+        Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, log, links, reset })
     }
 
     /// Once a second: the master and the diagnostics. Until somebody wants the node to stop.
@@ -93,6 +93,7 @@ impl<'a> Node<'a> {
             if elapsed >= diagnostics::PERIOD {
                 last = self.clock.now();
                 self.look_after_master();
+                self.monitor.set_too_long(self.links.refused());
                 let (dropped, present) = (self.mailbox.dropped(), self.master.is_present());
                 self.diagnostics.publish(self.ros, &self.monitor, dropped, present, elapsed.as_secs_f64());
             }
