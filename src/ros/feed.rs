@@ -95,7 +95,7 @@ impl Feed {
     }
 
     fn receive(&self, publisher: &str, messages: &mut u64) -> Result<std::convert::Infallible, LinkError> {
-        let uri = self.master.lookup_node(publisher).map_err(|error| LinkError::Unreachable(error.to_string()))?;
+        let uri = self.master.lookup_node(publisher).map_err(|error| LinkError::Unknown(error.to_string()))?;
         let address = request_topic(&uri, &self.node, &self.topic)?;
         let (mut stream, header) = connect(&address, &self.node, &self.topic)?;
         let fits = lock(&self.inlet).accepts(&header, publisher, &self.topic, &self.log);

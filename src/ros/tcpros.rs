@@ -28,6 +28,8 @@ const PROBES: u32 = 3;
 /// Why there is no connection to a publisher, or no longer.
 #[derive(Debug, Error)]
 pub(super) enum LinkError {
+    #[error("the master does not say where it is ({0})")]
+    Unknown(String),
     #[error("it cannot be asked where it publishes ({0})")]
     Unreachable(String),
     #[error("{0}")]
