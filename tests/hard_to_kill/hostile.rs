@@ -62,11 +62,10 @@ fn transform() -> TFMessage {
     TFMessage { transforms: vec![transform] }
 }
 
-/// What the node counts of messages refused and of those it had no room for.
-fn refused_and_dropped(diagnostics: &mut Listener) -> u32 {
+/// How many messages the node has refused.
+fn refused(diagnostics: &mut Listener) -> u32 {
     let array = DiagnosticArray::decode(&diagnostics.next_bytes().unwrap()[..]).unwrap();
-    let value = |key: &str| array.status[0].values.iter().find(|entry| entry.key == key).unwrap().value.parse::<u32>().unwrap();
-    value("messages refused")
+    array.status[0].values.iter().find(|entry| entry.key == "messages refused").unwrap().value.parse().unwrap()
 }
 
 #[test]
@@ -87,7 +86,7 @@ fn twenty_thousand_mutated_messages_change_nothing_for_the_next_good_one() {
 
     let (_, report) = bench.step();
     assert!(bench.node.is_running(), "{report:?}: {}", bench.node.log());
-    assert!(refused_and_dropped(&mut diagnostics) > 100);
+    assert!((0..30).any(|_| refused(&mut diagnostics) > 1000), "{}", bench.node.log());
     let seconds = start.elapsed().as_secs() as usize + 2;
     for topic in ["scan", "odom", "icp_contract", "/tf"] {
         let told = bench.node.log().matches(&format!("/scan_matcher: {topic}: a message from")).count();
@@ -111,7 +110,7 @@ fn absurd_lengths_cost_a_connection_and_nothing_else() {
     send(&mut bench.scans, &EndlessScan::new(1, 0.1));
     bench.check_step();
     let mut diagnostics = Listener::new(&bench.graph, "/diagnostics");
-    assert_eq!((0..5).map(|_| refused_and_dropped(&mut diagnostics)).max(), Some(4));
+    assert_eq!((0..5).map(|_| refused(&mut diagnostics)).max(), Some(4));
 }
 
 #[test]
@@ -135,11 +134,13 @@ fn odd_scans_and_stamps_are_answered_and_the_next_good_one_is_matched() {
         LaserScan { time_increment: 1e30, scan_time: f32::NAN, ..with_ranges(good.ranges.clone(), 0.037) },
         million,
     ] {
-        let (pose, _) = bench.answer(&odd);
+        let start = Instant::now();
+        let (pose, report) = bench.answer(&odd);
         assert!(pose.is_finite(), "{pose:?}");
+        eprintln!("{} beams: {:?}, {}", odd.ranges.len(), start.elapsed(), report.reason);
     }
     for stamp in
-        [Time { sec: 0, nsec: 0 }, Time { sec: u32::MAX, nsec: u32::MAX }, at(-100.0).into(), at(1e6).into(), at(0.05).into()]
+        [Time { sec: 0, nsec: 0 }, Time { sec: u32::MAX, nsec: 999_999_999 }, at(-100.0).into(), at(1e6).into(), at(0.05).into()]
     {
         let mut scan = good.clone();
         scan.header.stamp = stamp;
