@@ -200,7 +200,7 @@ impl Graph {
 
 /// The answer of an XML-RPC server to a call with these values.
 pub fn call(address: &str, method: &str, values: &[String]) -> String {
-    let values: String = values.iter().map(|value| format!("<param><value>{value}</value></param>")).collect();
+    let values = values.iter().map(|value| format!("<param><value>{value}</value></param>")).collect::<Vec<_>>().concat();
     let body =
         format!("<?xml version='1.0'?><methodCall><methodName>{method}</methodName><params>{values}</params></methodCall>");
     let mut stream = TcpStream::connect(address).unwrap();

@@ -87,7 +87,7 @@ fn twenty_thousand_mutated_messages_change_nothing_for_the_next_good_one() {
     let (_, report) = bench.step();
     assert!(bench.node.is_running(), "{report:?}: {}", bench.node.log());
     assert!((0..30).any(|_| refused(&mut diagnostics) > 1000), "{}", bench.node.log());
-    let seconds = start.elapsed().as_secs() as usize + 2;
+    let seconds = usize::try_from(start.elapsed().as_secs()).unwrap() + 2;
     for topic in ["scan", "odom", "icp_contract", "/tf"] {
         let told = bench.node.log().matches(&format!("/scan_matcher: {topic}: a message from")).count();
         assert!((1..=seconds).contains(&told), "{topic}: {told} times in {seconds} s");

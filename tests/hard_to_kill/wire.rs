@@ -128,8 +128,8 @@ pub fn connect(graph: &Graph, topic: &str) -> TcpStream {
         "<array><data><value><array><data><value><string>TCPROS</string></value></data></array></value></data></array>";
     let answer =
         call(api, "requestTopic", &["<string>/test</string>".into(), format!("<string>{topic}</string>"), protocols.into()]);
-    let numbers = answer.split(|c: char| !c.is_ascii_digit()).filter_map(|word| word.parse().ok());
-    let port: u16 = numbers.filter(|port| *port > 1024).last().unwrap();
+    let mut numbers = answer.rsplit(|c: char| !c.is_ascii_digit()).filter_map(|word| word.parse::<u16>().ok());
+    let port = numbers.find(|port| *port > 1024).unwrap();
     let stream = TcpStream::connect(("localhost", port)).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
     stream
