@@ -45,6 +45,14 @@ pub(super) fn resolved(ros: &Ros, name: &str) -> Result<String, NodeError> {
         .ok_or_else(|| NodeError::ros(format!("use the name '{name}'"), &problem))
 }
 
+/// The port that a service of the node is called at.
+pub(super) fn service_port(ros: &Ros, name: &str) -> Result<u16, NodeError> {
+    let failed = |problem: &dyn ToString| NodeError::ros(format!("find the port of '{name}'"), &problem.to_string());
+    let uri = connect(ros.name(), ros.uri())?.lookup_service(&resolved(ros, name)?).map_err(|error| failed(&error))?;
+    let port = uri.trim_end_matches('/').rsplit(':').next().and_then(|port| port.parse().ok());
+    port.ok_or_else(|| failed(&format!("the master says '{uri}'")))
+}
+
 /// An entry in the master's books.
 pub(super) enum Role {
     Publisher { topic: &'static str, message_type: String },

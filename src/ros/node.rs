@@ -1,5 +1,6 @@
 //! The node as a whole: puts the parts together and looks after them.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
@@ -14,12 +15,12 @@ use super::interrupts::Interrupts;
 use super::links::Links;
 use super::log::{Log, ROSOUT};
 use super::mailbox::{Event, Mailbox};
-use super::master::{Change, MasterLink, Role, resolved};
+use super::master::{Change, MasterLink, Role, resolved, service_port};
 use super::matcher::Matcher;
 use super::publishers::Publishers;
 use super::shutdown::StopSignal;
 use super::subscriptions::{Input, subscribe};
-use super::{params, shell};
+use super::{params, shell, sockets};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
 use crate::app::App;
@@ -119,7 +120,10 @@ fn offer_reset(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<Service, NodeError> 
         mailbox.put_event(Event::Reset);
         Ok(TriggerRes { success: true, message: "the next scan is the first one, at the initial pose".into() })
     };
-    ros.service::<Trigger, _>(RESET, handle).map_err(|error| NodeError::ros(format!("offer the service '{RESET}'"), &error))
+    let offered = ros.service::<Trigger, _>(RESET, handle);
+    let service = offered.map_err(|error| NodeError::ros(format!("offer the service '{RESET}'"), &error))?;
+    sockets::tune(&HashSet::from([service_port(ros, RESET)?]));
+    Ok(service)
 }
 
 /// Says that the node is ready, and what for.

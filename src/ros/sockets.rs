@@ -1,7 +1,7 @@
-//! What rosrust leaves out about the sockets it publishes by.
+//! What rosrust leaves out about the sockets it publishes and serves by.
 //!
 //! It writes to one subscriber after the other and waits for each: one that does not read would keep all others waiting. It reads the
-//! header of one new subscriber after the other: one that sends none would keep all that come later waiting. And it leaves small
+//! header of one new subscriber or caller after the other: one that sends none would keep all that come later waiting. And it leaves small
 //! messages to lie until the last one is acknowledged, 40 ms later. It lends nobody its sockets; they are found among the files of
 //! this process by their port. What is set for a socket that listens holds for those that it accepts.
 
@@ -13,7 +13,7 @@ use socket2::SockRef;
 
 /// A subscriber that does not read for so long is cut off; it may come back.
 const PATIENCE_TO_WRITE: Duration = Duration::from_millis(100);
-/// For the header of a new subscriber.
+/// For the header of a new subscriber or caller.
 const PATIENCE_TO_READ: Duration = Duration::from_secs(1);
 
 /// Tunes all sockets of this process at these ports; those that cannot be tuned work as before.

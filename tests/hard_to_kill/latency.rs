@@ -1,5 +1,7 @@
-//! From a scan on its way to its pose on its way back, over loopback.
+//! From a scan on its way to its pose on its way back, over loopback; and beside it what a bare echo of as many bytes takes there.
 
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
 use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
@@ -36,6 +38,31 @@ fn measure(bench: &mut Bench, count: u32, hertz: f64) -> Vec<Duration> {
     latencies
 }
 
+/// The latencies of an echo: of the bytes of a scan, all but a pose's worth are kept.
+fn measure_echo(count: u32, hertz: f64, bytes: usize) -> Vec<Duration> {
+    const POSE: usize = 100;
+    let listener = TcpListener::bind("localhost:0").unwrap();
+    let mut here = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+    let (mut there, _) = listener.accept().unwrap();
+    [&here, &there].iter().for_each(|stream| stream.set_nodelay(true).unwrap());
+    std::thread::spawn(move || {
+        let mut scan = vec![0; bytes];
+        while there.read_exact(&mut scan).is_ok() {
+            there.write_all(&scan[..POSE]).unwrap();
+        }
+    });
+    let once = |_| {
+        std::thread::sleep(Duration::from_secs_f64(1.0 / hertz));
+        let start = Instant::now();
+        here.write_all(&vec![0; bytes]).unwrap();
+        here.read_exact(&mut [0; POSE]).unwrap();
+        start.elapsed()
+    };
+    let mut latencies: Vec<Duration> = (0..count).map(once).collect();
+    latencies.sort_unstable();
+    latencies
+}
+
 fn print(what: &str, latencies: &[Duration]) {
     let [median, tail, longest] = [50, 99, 100].map(|percent| latencies[(latencies.len() * percent).div_ceil(100) - 1]);
     eprintln!("{what}: {} answers, p50 {median:?}, p99 {tail:?}, max {longest:?}", latencies.len());
@@ -47,11 +74,13 @@ fn latency_of_a_pose() {
     bench.step();
     let at_40 = measure(&mut bench, 320, 40.0);
     print("1081 beams at 40 Hz", &at_40);
+    print("an echo of 1081 beams at 40 Hz", &measure_echo(320, 40.0, 4 * 1081));
     assert!(at_40.len() > 280, "{}", at_40.len());
     drop(bench);
     let Some(mut bench) = Bench::start(181) else { return };
     bench.step();
     let at_1000 = measure(&mut bench, 3000, 1000.0);
     print("181 beams at 1 kHz", &at_1000);
+    print("an echo of 181 beams at 1 kHz", &measure_echo(3000, 1000.0, 4 * 181));
     assert!(at_1000.len() > 300, "{}", at_1000.len());
 }
