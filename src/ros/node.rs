@@ -1,6 +1,5 @@
 //! The node as a whole: puts the parts together and looks after them.
 
-use std::collections::HashSet;
 use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
@@ -15,12 +14,12 @@ use super::interrupts::Interrupts;
 use super::links::Links;
 use super::log::{Log, ROSOUT};
 use super::mailbox::{Event, Mailbox};
-use super::master::{Change, MasterLink, Role, resolved, service_port};
+use super::master::{MasterLink, Role, resolved};
 use super::matcher::Matcher;
 use super::publishers::Publishers;
 use super::shutdown::StopSignal;
 use super::subscriptions::{Input, subscribe};
-use super::{params, shell, sockets};
+use super::{params, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
 use crate::app::App;
@@ -51,9 +50,9 @@ struct Node<'a> {
     diagnostics: Diagnostics,
     master: MasterLink<'a>,
     matching: thread::JoinHandle<()>,
-    log: Log,
     links: Links<'a>,
-    reset: Option<Service>,
+    // Dropping it ends it.
+    _reset: Service,
 }
 
 impl<'a> Node<'a> {
@@ -80,10 +79,11 @@ impl<'a> Node<'a> {
             .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
         let links = Links::new(ros, &clock, &log)?;
         Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, &mailbox, &interrupts))?;
-        let reset = Some(offer_reset(ros, &mailbox)?);
+        let reset = offer_reset(ros, &mailbox)?;
+        roles.push(Role::of_service(ros, RESET)?);
         let master = MasterLink::new(ros, master, roles, &log)?;
         announce(ros, &log, config, &contract)?;
-        Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, log, links, reset })
+        Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, links, _reset: reset })
     }
 
     /// Once a second: the master and the diagnostics. Until somebody wants the node to stop.
@@ -93,7 +93,7 @@ impl<'a> Node<'a> {
             let elapsed = self.clock.now().saturating_sub(last);
             if elapsed >= diagnostics::PERIOD {
                 last = self.clock.now();
-                self.look_after_master();
+                self.master.check();
                 self.monitor.set_too_long(self.links.refused());
                 let (dropped, present) = (self.mailbox.dropped(), self.master.is_present());
                 self.diagnostics.publish(self.ros, &self.monitor, dropped, present, elapsed.as_secs_f64());
@@ -101,16 +101,6 @@ impl<'a> Node<'a> {
         }
         self.mailbox.close();
         let _ = self.matching.join(); // a panic there has been reported by now
-    }
-
-    fn look_after_master(&mut self) {
-        if self.master.check() == Change::Returned {
-            self.reset = None; // the old one must be gone before its name can be used again
-            match offer_reset(self.ros, &self.mailbox) {
-                Ok(service) => self.reset = Some(service),
-                Err(error) => self.log.warn(&error.to_string()),
-            }
-        }
     }
 }
 
@@ -120,10 +110,7 @@ fn offer_reset(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<Service, NodeError> 
         mailbox.put_event(Event::Reset);
         Ok(TriggerRes { success: true, message: "the next scan is the first one, at the initial pose".into() })
     };
-    let offered = ros.service::<Trigger, _>(RESET, handle);
-    let service = offered.map_err(|error| NodeError::ros(format!("offer the service '{RESET}'"), &error))?;
-    sockets::tune(&HashSet::from([service_port(ros, RESET)?]));
-    Ok(service)
+    ros.service::<Trigger, _>(RESET, handle).map_err(|error| NodeError::ros(format!("offer the service '{RESET}'"), &error))
 }
 
 /// Says that the node is ready, and what for.

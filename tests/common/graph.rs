@@ -171,6 +171,7 @@ impl Graph {
     pub fn trigger(&self, service: &str) -> String {
         let uri = self.output("rosservice", &["uri", service]);
         let mut stream = TcpStream::connect(uri.trim().strip_prefix("rosrpc://").unwrap()).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let field = |text: String| [u32::try_from(text.len()).unwrap().to_le_bytes().to_vec(), text.into_bytes()].concat();
         let header = [
             field(format!("service={service}")),

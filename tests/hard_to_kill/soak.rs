@@ -15,9 +15,11 @@ use crate::bench::{Bench, Resources};
 use crate::drive::LASER_IN_BASE;
 use crate::wire::{Listener, Publisher, connect, frame};
 
-/// One of the things that go wrong.
-fn fault(bench: &mut Bench, rng: &mut Pcg64) {
-    match rng.random_range(0..7) {
+const FAULTS: u32 = 7;
+
+/// One of the [`FAULTS`] things that go wrong.
+fn fault(kind: u32, bench: &mut Bench, rng: &mut Pcg64) {
+    match kind {
         0 => {
             bench.scans.shutdown(Shutdown::Both).unwrap();
             bench.scans = bench.lidar.link();
@@ -65,7 +67,7 @@ fn soak(scans: u32, fault_every: u32) {
         let error = pose.between(&expected);
         assert!(error.distance() < 1e-9 && error.theta.abs() < 1e-9, "scan {number}: {error:?}: {}", bench.node.log());
         if number % fault_every == 0 {
-            fault(&mut bench, &mut rng);
+            fault((number / fault_every) % FAULTS, &mut bench, &mut rng);
         }
         if number == scans / 4 {
             early = Some(bench.resources());
