@@ -30,13 +30,14 @@ pub(super) struct Feed {
     refused: AtomicU64,
 }
 
-/// Names of nodes.
+/// Nodes, by name.
 #[derive(Default)]
 struct Publishers {
     /// Those that the master knows.
     wanted: HashSet<String>,
     /// Those that have a thread.
     linked: HashSet<String>,
+    throttle: Throttle,
 }
 
 impl Feed {
@@ -60,7 +61,10 @@ impl Feed {
             let (feed, name) = (Arc::clone(self), publisher.clone());
             match thread::Builder::new().name("link".into()).spawn(move || feed.follow(&name)) {
                 Ok(_) => drop(publishers.linked.insert(publisher)),
-                Err(error) => self.log.warn(&format!("cannot start a thread: {error}")),
+                Err(error) if publishers.throttle.allows("thread", self.clock.now()) => {
+                    self.log.warn(&format!("topic {}: no connection to {publisher}: cannot start a thread: {error}", self.topic));
+                }
+                Err(_) => {}
             }
         }
     }

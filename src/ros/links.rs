@@ -2,13 +2,13 @@
 //!
 //! rosrust's own subscribers take as much memory as a message announces, stand still when a publisher does not send its header, and
 //! never return to one whose connection broke. So the connections are made here. rosrust answers for the node to the master and to
-//! the other nodes; who publishes is read from the master's state, a few times a second, and a message that tells of a new publisher
-//! is not needed. It is one small request for all topics together, and right again by itself after a master has been replaced.
+//! the other nodes; it keeps to itself when the master tells it of a new publisher, so who publishes is read from the master's state,
+//! some times a second. It is one small request for all topics together, and right again by itself after a master has been replaced.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, Thread};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rosrust::api::{Master, Ros, SystemState};
 
@@ -19,8 +19,10 @@ use super::log::Log;
 use super::master::{connect, resolved};
 use crate::anytime::clock::Clock;
 
-/// How often the master is asked who publishes.
-const PERIOD: Duration = Duration::from_millis(200);
+/// Time between two questions to the master who publishes: `rosbag play` gives its subscribers 200 ms to come.
+const PERIOD: Duration = Duration::from_millis(50);
+/// A master of a large graph takes longer to answer. It is left alone for so many times as long.
+const REST: u32 = 10;
 
 /// A node's subscriptions. Dropping this ends them.
 pub(super) struct Links<'a> {
@@ -79,10 +81,13 @@ impl Drop for Links<'_> {
 impl Shared {
     fn watch(&self) {
         while !self.closed.load(Ordering::Relaxed) {
-            if let Ok(state) = self.master.get_system_state() {
+            let asked = Instant::now();
+            let state = self.master.get_system_state();
+            let took = asked.elapsed();
+            if let Ok(state) = state {
                 self.update(&state.into());
             }
-            thread::park_timeout(PERIOD);
+            thread::park_timeout(PERIOD.max(REST * took));
         }
     }
 

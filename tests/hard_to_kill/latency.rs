@@ -44,7 +44,8 @@ fn measure_echo(count: u32, hertz: f64, bytes: usize) -> Vec<Duration> {
     let listener = TcpListener::bind("localhost:0").unwrap();
     let mut here = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
     let (mut there, _) = listener.accept().unwrap();
-    [&here, &there].iter().for_each(|stream| stream.set_nodelay(true).unwrap());
+    here.set_nodelay(true).unwrap();
+    there.set_nodelay(true).unwrap();
     std::thread::spawn(move || {
         let mut scan = vec![0; bytes];
         while there.read_exact(&mut scan).is_ok() {
@@ -72,15 +73,15 @@ fn print(what: &str, latencies: &[Duration]) {
 fn latency_of_a_pose() {
     let Some(mut bench) = Bench::start(1081) else { return };
     bench.step();
-    let at_40 = measure(&mut bench, 320, 40.0);
+    let at_40 = measure(&mut bench, 200, 40.0);
     print("1081 beams at 40 Hz", &at_40);
-    print("an echo of 1081 beams at 40 Hz", &measure_echo(320, 40.0, 4 * 1081));
-    assert!(at_40.len() > 280, "{}", at_40.len());
+    print("an echo of 1081 beams at 40 Hz", &measure_echo(200, 40.0, 4 * 1081));
+    assert!(at_40.len() > 150, "{}", at_40.len());
     drop(bench);
     let Some(mut bench) = Bench::start(181) else { return };
     bench.step();
-    let at_1000 = measure(&mut bench, 3000, 1000.0);
+    let at_1000 = measure(&mut bench, 2000, 1000.0);
     print("181 beams at 1 kHz", &at_1000);
-    print("an echo of 181 beams at 1 kHz", &measure_echo(3000, 1000.0, 4 * 181));
+    print("an echo of 181 beams at 1 kHz", &measure_echo(2000, 1000.0, 4 * 181));
     assert!(at_1000.len() > 300, "{}", at_1000.len());
 }
