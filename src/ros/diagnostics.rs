@@ -41,6 +41,7 @@ struct Counts {
     late: u64,
     worst_overrun: Duration,
     refused: u64,
+    too_long: u64,
 }
 
 impl Monitor {
@@ -58,6 +59,11 @@ impl Monitor {
 
     pub(super) fn count_refused(&self) {
         self.lock().counts.refused += 1;
+    }
+
+    /// Messages that were not even read.
+    pub(super) fn set_too_long(&self, count: u64) {
+        self.lock().counts.too_long = count;
     }
 
     pub(super) fn set_mount_assumed(&self, assumed: bool) {
@@ -135,7 +141,7 @@ impl Report {
             count(failed, &format!("of {answered} scans not matched ({problem})")),
             count(dropped, "scans dropped"),
             count(self.since(|c| c.late), "answers later than the time budget"),
-            count(self.since(|c| c.refused), "messages refused"),
+            count(self.since(|c| c.refused + c.too_long), "messages refused"),
             count(self.dropped.events - self.dropped_before.events, "messages other than scans dropped"),
             self.state.mount_assumed.then(|| "the laser's place on the base is not known".into()),
             self.state.transform_withheld.then(|| "transform held back: another node publishes it".into()),
@@ -164,7 +170,7 @@ impl Report {
             ("deadline misses", counts.late.to_string()),
             ("deadline misses [%]", format!("{:.3}", 100.0 * counts.late as f64 / counts.answered.max(1) as f64)),
             ("worst overrun [ms]", format!("{:.3}", counts.worst_overrun.as_secs_f64() * 1e3)),
-            ("messages refused", counts.refused.to_string()),
+            ("messages refused", (counts.refused + counts.too_long).to_string()),
             ("latency p50 [ms]", latency(50)),
             ("latency p99 [ms]", latency(99)),
             ("latency max [ms]", latency(100)),

@@ -1,21 +1,14 @@
 //! The receiving end of a topic: bytes that are said to be of the right type, with the time they came.
 
-use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
+use std::collections::HashSet;
 use std::time::Duration;
 
-use rosrust::api::Ros;
-use rosrust::{RawMessage, Subscriber, SubscriptionHandler};
-
 use super::NodeError;
+use super::links::Links;
 use super::log::Log;
-use super::master::{Role, resolved};
-use crate::anytime::clock::Clock;
+use super::master::Role;
+use super::tcpros::Header;
 use crate::messages::Message;
-
-/// rosrust's own queue loses messages without a word when it is short. Ours only ever passes through it: the receiver decides what is
-/// kept.
-const QUEUE: usize = 1000;
 
 /// A message as it came.
 #[derive(Debug, PartialEq)]
@@ -33,7 +26,7 @@ pub(super) struct Letter {
 pub(super) struct Topic {
     /// Its name before remapping.
     pub(super) name: &'static str,
-    message_type: &'static str,
+    pub(super) message_type: &'static str,
     md5: &'static str,
 }
 
@@ -48,53 +41,38 @@ impl Topic {
     }
 }
 
-/// Subscribes to `topic`; what comes goes to `receive`, which must not be slow.
-///
-/// Raw: rosrust would decode lengths it has not checked, and any publisher could make it take all memory there is.
-pub(super) fn listen(
-    ros: &Ros,
-    topic: Topic,
-    clock: &Arc<dyn Clock>,
-    log: &Log,
-    receive: impl FnMut(Letter) + Send + 'static,
-) -> Result<Subscriber, NodeError> {
-    let name = resolved(ros, topic.name)?;
-    let inlet = Inlet { topic, name, clock: Arc::clone(clock), log: log.clone(), refused: HashSet::new(), receive };
-    ros.subscribe_with(topic.name, QUEUE, inlet).map_err(|error| NodeError::ros(format!("subscribe to '{}'", topic.name), &error))
+/// Subscribes to `topic`, whoever publishes it, except the node itself; what comes goes to `receive`, which must not be slow.
+pub(super) fn listen(links: &Links, topic: Topic, receive: impl FnMut(Letter) + Send + 'static) -> Result<(), NodeError> {
+    links.add(Inlet { topic, refused: HashSet::new(), receive: Box::new(receive) })
 }
 
-struct Inlet<F> {
-    topic: Topic,
-    /// The topic's name in full.
-    name: String,
-    clock: Arc<dyn Clock>,
-    log: Log,
+/// Where the messages of a topic go.
+pub(super) struct Inlet {
+    pub(super) topic: Topic,
+    /// Nodes whose messages are of another type.
     refused: HashSet<String>,
-    receive: F,
+    receive: Box<dyn FnMut(Letter) + Send>,
 }
 
-impl<F: FnMut(Letter) + Send + 'static> SubscriptionHandler<RawMessage> for Inlet<F> {
-    fn connection(&mut self, headers: HashMap<String, String>) {
-        let field = |name: &str| headers.get(name).map_or("", String::as_str);
+impl Inlet {
+    /// Whether what comes over the connection of this header is of the right type. If it is not, that is said once.
+    pub(super) fn accepts(&mut self, header: &Header, sender: &str, topic: &str, log: &Log) -> bool {
+        let field = |name: &str| header.get(name).map_or("", String::as_str);
         let Topic { message_type, md5, .. } = self.topic;
-        let sender = field("callerid");
-        if [md5, "*"].contains(&field("md5sum")) {
+        let fits = [md5, "*"].contains(&field("md5sum"));
+        if fits {
             self.refused.remove(sender);
         } else if self.refused.insert(sender.into()) {
             let version = if field("type") == message_type { " of another version" } else { "" };
-            self.log.error(&format!(
-                "topic {}: {sender} publishes {}{version}, expected {message_type}: its messages are ignored",
-                self.name,
+            log.error(&format!(
+                "topic {topic}: {sender} publishes {}{version}, expected {message_type}: its messages are ignored",
                 field("type"),
             ));
         }
+        fits
     }
 
-    // A message may overtake the header of its connection. Of a wrong type, it is then refused by the decoder.
-    fn message(&mut self, message: RawMessage, sender: &str) {
-        let arrival = self.clock.now();
-        if !self.refused.contains(sender) {
-            (self.receive)(Letter { arrival, sender: sender.into(), bytes: message.0 });
-        }
+    pub(super) fn message(&mut self, bytes: Vec<u8>, sender: &str, arrival: Duration) {
+        (self.receive)(Letter { arrival, sender: sender.into(), bytes });
     }
 }

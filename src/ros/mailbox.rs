@@ -10,6 +10,8 @@ use super::subscriptions::Input;
 
 /// Events that may wait: four seconds of odometry at 1 kHz. A match that takes longer loses the oldest.
 const CAPACITY: usize = 4096;
+/// Bytes that may wait with them: honest messages are small.
+const CAPACITY_BYTES: usize = 32 << 20;
 
 /// Anything but a scan.
 #[derive(Debug, PartialEq)]
@@ -18,6 +20,15 @@ pub(super) enum Event {
     Message(Input, Letter),
     /// A call of the service `reset`.
     Reset,
+}
+
+impl Event {
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Message(_, letter) => letter.bytes.len(),
+            Self::Reset => 0,
+        }
+    }
 }
 
 /// What there is to do: the events first, in their order of arrival, then the scan.
@@ -37,11 +48,22 @@ pub(super) struct Mailbox {
 #[derive(Default)]
 struct State {
     work: Work,
+    /// Of the events' messages.
+    bytes: usize,
     dropped: Dropped,
     closed: bool,
 }
 
 impl State {
+    fn take_events(&mut self) -> VecDeque<Event> {
+        self.bytes = 0;
+        mem::take(&mut self.work.events)
+    }
+
+    fn is_overfull(&self) -> bool {
+        self.work.events.len() > CAPACITY || self.bytes > CAPACITY_BYTES
+    }
+
     fn is_idle(&mut self) -> bool {
         !self.closed && self.work.scan.is_none() && self.work.events.is_empty()
     }
@@ -66,11 +88,14 @@ impl Mailbox {
 
     pub(super) fn put_event(&self, event: Event) {
         let mut state = self.lock();
-        if state.work.events.len() == CAPACITY {
-            state.work.events.pop_front();
+        state.bytes += event.bytes();
+        state.work.events.push_back(event);
+        while state.is_overfull()
+            && let Some(oldest) = state.work.events.pop_front()
+        {
+            state.bytes -= oldest.bytes();
             state.dropped.events += 1;
         }
-        state.work.events.push_back(event);
         self.filled.notify_one();
     }
 
@@ -82,14 +107,14 @@ impl Mailbox {
     /// Waits for work. `None` once the mailbox is closed.
     pub(super) fn take(&self) -> Option<Work> {
         let mut state = self.filled.wait_while(self.lock(), State::is_idle).unwrap_or_else(PoisonError::into_inner);
-        (!state.closed).then(|| mem::take(&mut state.work))
+        (!state.closed).then(|| Work { events: state.take_events(), scan: state.work.scan.take() })
     }
 
     /// Waits for events while a scan is held back: at most `timeout`, and no longer once a newer scan is here. `None`: none came.
     pub(super) fn take_events(&self, timeout: Duration) -> Option<VecDeque<Event>> {
         let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
-        let events = mem::take(&mut state.work.events);
+        let events = state.take_events();
         (!events.is_empty()).then_some(events)
     }
 
@@ -149,6 +174,19 @@ mod tests {
         let work = mailbox.take().unwrap();
         assert_eq!((work.events.len(), work.events.front()), (CAPACITY, Some(&Event::Message(Input::Odometry, letter(2)))));
         assert_eq!(mailbox.dropped(), Dropped { scans: 0, events: 2 });
+    }
+
+    #[test]
+    fn events_that_wait_take_no_more_memory_than_they_may() {
+        let mailbox = Mailbox::default();
+        for arrival in 0..5 {
+            let bytes = vec![0; CAPACITY_BYTES / 3];
+            mailbox.put_event(Event::Message(Input::Transforms, Letter { bytes, ..letter(arrival) }));
+        }
+        assert_eq!((mailbox.take().unwrap().events.len(), mailbox.dropped().events), (3, 2));
+        mailbox.put_event(Event::Message(Input::Transforms, Letter { bytes: vec![0; CAPACITY_BYTES + 1], ..letter(6) }));
+        mailbox.put_event(Event::Reset);
+        assert_eq!((mailbox.take().unwrap().events.len(), mailbox.dropped().events), (1, 3), "too long to be kept at all");
     }
 
     #[test]

@@ -3,11 +3,12 @@
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros, resolve};
-use rosrust::{RawMessage, error::ResponseError};
 
 use super::NodeError;
 use super::log::{Log, print};
 use super::shutdown::StopSignal;
+use super::sockets;
+use super::tcpros::request_topic;
 
 const RETRY_PERIOD: Duration = Duration::from_millis(500);
 
@@ -46,16 +47,40 @@ pub(super) fn resolved(ros: &Ros, name: &str) -> Result<String, NodeError> {
 pub(super) enum Role {
     Publisher { topic: &'static str, message_type: String },
     Subscriber { topic: &'static str, message_type: String },
+    Service { name: &'static str, uri: String },
 }
 
-/// What became of the link to the master since it was last looked at.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Change {
-    None,
-    /// It does not answer any more.
-    Lost,
-    /// There is one again, and it knows the topics again; services have to be offered anew.
-    Returned,
+impl Role {
+    /// Of a service that has been offered; rosrust does not say where, but it has told the master.
+    pub(super) fn of_service(ros: &Ros, name: &'static str) -> Result<Self, NodeError> {
+        let uri = connect(ros.name(), ros.uri())?.lookup_service(&resolved(ros, name)?);
+        uri.map(|uri| Self::Service { name, uri }).map_err(|error| NodeError::ros(format!("offer the service '{name}'"), &error))
+    }
+
+    /// The port it is reached by, if there is one of its own. Whoever subscribes is told.
+    fn port(&self, ros: &Ros) -> Result<Option<u16>, NodeError> {
+        match self {
+            Self::Publisher { topic, .. } => {
+                let address = request_topic(ros.uri(), ros.name(), &resolved(ros, topic)?);
+                address.map(|(_, port)| Some(port)).map_err(|error| NodeError::ros(format!("find the port of '{topic}'"), &error))
+            }
+            Self::Subscriber { .. } => Ok(None),
+            Self::Service { uri, .. } => Ok(uri.rsplit(':').next().and_then(|port| port.trim_end_matches('/').parse().ok())),
+        }
+    }
+
+    fn register(&self, ros: &Ros, master: &Master) -> Result<(), NodeError> {
+        let (name, outcome) = match self {
+            Self::Publisher { topic, message_type } => {
+                (topic, master.register_publisher(&resolved(ros, topic)?, message_type).map(|_peers| ()))
+            }
+            Self::Subscriber { topic, message_type } => {
+                (topic, master.register_subscriber(&resolved(ros, topic)?, message_type).map(|_peers| ()))
+            }
+            Self::Service { name, uri } => (name, master.register_service(&resolved(ros, name)?, uri).map(|_ignored| ())),
+        };
+        outcome.map_err(|error| NodeError::ros(format!("register '{name}'"), &error))
+    }
 }
 
 /// Keeps the node known to the master. A master that was started again knows nothing of the nodes of its predecessor, whose links to
@@ -69,12 +94,11 @@ pub(super) struct MasterLink<'a> {
 }
 
 impl<'a> MasterLink<'a> {
-    /// A node that is registered under these roles; tells the master the types of the topics it subscribes to.
+    /// A node that is registered under these roles. Its sockets are as they shall be from now on.
     pub(super) fn new(ros: &'a Ros, master: &'a Master, roles: Vec<Role>, log: &Log) -> Result<Self, NodeError> {
         let link = Self { ros, master, roles, present: true, log: log.clone() };
-        for role in &link.roles {
-            link.register(role)?;
-        }
+        let ports = link.roles.iter().filter_map(|role| role.port(ros).transpose());
+        sockets::tune(&ports.collect::<Result<_, _>>()?);
         Ok(link)
     }
 
@@ -84,57 +108,23 @@ impl<'a> MasterLink<'a> {
     }
 
     /// Looks whether the master is there and knows this node, and registers again where it does not.
-    pub(super) fn check(&mut self) -> Change {
+    pub(super) fn check(&mut self) {
         let known = self.master.lookup_node(self.ros.name());
         let answers = known.is_ok() || self.master.get_uri().is_ok();
         match (std::mem::replace(&mut self.present, answers), answers) {
-            (true, false) => {
-                self.log.warn("the ROS master does not answer: going on with the connections there are");
-                Change::Lost
-            }
+            (true, false) => self.log.warn("the ROS master does not answer: going on with the connections there are"),
             (_, true) if known.is_err() => self.return_to_master(),
-            _ => Change::None,
+            _ => {}
         }
     }
 
-    fn return_to_master(&mut self) -> Change {
-        let outcome = self.roles.iter().try_for_each(|role| {
-            self.reconnect(role)?;
-            self.register(role)
-        });
-        match outcome {
-            Ok(()) => {
-                self.log.info("the ROS master was started again: registered again");
-                Change::Returned
-            }
+    fn return_to_master(&mut self) {
+        match self.roles.iter().try_for_each(|role| role.register(self.ros, self.master)) {
+            Ok(()) => self.log.info("the ROS master was started again: registered again"),
             Err(error) => {
                 self.log.warn(&format!("the ROS master was started again: {error}"));
                 self.present = false;
-                Change::None
             }
         }
-    }
-
-    /// Connects to the publishers that the new master knows of. rosrust does so for every new subscriber of a topic; the one made here
-    /// shares its links with the one there is and leaves them behind.
-    fn reconnect(&self, role: &Role) -> Result<(), NodeError> {
-        if let Role::Subscriber { topic, .. } = role {
-            let extra = self.ros.subscribe::<RawMessage, _>(topic, 1, |_| ());
-            drop(extra.map_err(|error| NodeError::ros(format!("subscribe to '{topic}' again"), &error))?);
-        }
-        Ok(())
-    }
-
-    fn register(&self, role: &Role) -> Result<(), NodeError> {
-        let failed = |topic: &str, error: ResponseError| NodeError::ros(format!("register '{topic}'"), &error);
-        let done = match role {
-            Role::Publisher { topic, message_type } => {
-                self.master.register_publisher(&resolved(self.ros, topic)?, message_type).map_err(|error| failed(topic, error))
-            }
-            Role::Subscriber { topic, message_type } => {
-                self.master.register_subscriber(&resolved(self.ros, topic)?, message_type).map_err(|error| failed(topic, error))
-            }
-        };
-        done.map(|_peers| ())
     }
 }

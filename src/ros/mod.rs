@@ -1,7 +1,7 @@
 //! The ROS 1 nodes: the one around [`App`](crate::app::App), and a controller for it. Nothing else in this project knows of rosrust.
 //!
 //! ```text
-//!  rosrust's threads          matching thread               main thread
+//!  threads of links           matching thread               main thread
 //!  subscriptions --> mailbox --> matcher --> publishers     node: signals, diagnostics at 1 Hz, the master
 //! ```
 //!
@@ -12,8 +12,10 @@
 pub mod contract_demo;
 mod convert;
 mod diagnostics;
+mod feed;
 mod inlet;
 mod interrupts;
+mod links;
 mod log;
 mod mailbox;
 mod master;
@@ -25,7 +27,9 @@ mod priority;
 mod publishers;
 mod shell;
 mod shutdown;
+mod sockets;
 mod subscriptions;
+mod tcpros;
 
 pub use node::run;
 

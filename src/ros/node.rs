@@ -4,16 +4,17 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
+use rosrust::Service;
 use rosrust::api::{Master, Ros};
-use rosrust::{Service, Subscriber};
 use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
 use super::diagnostics::{self, Diagnostics, Monitor};
 use super::interrupts::Interrupts;
+use super::links::Links;
 use super::log::{Log, ROSOUT};
 use super::mailbox::{Event, Mailbox};
-use super::master::{Change, MasterLink, Role, resolved};
+use super::master::{MasterLink, Role, resolved};
 use super::matcher::Matcher;
 use super::publishers::Publishers;
 use super::shutdown::StopSignal;
@@ -49,10 +50,9 @@ struct Node<'a> {
     diagnostics: Diagnostics,
     master: MasterLink<'a>,
     matching: thread::JoinHandle<()>,
-    log: Log,
-    // Dropping these ends them.
-    _subscribers: Vec<Subscriber>,
-    reset: Option<Service>,
+    links: Links<'a>,
+    // Dropping it ends it.
+    _reset: Service,
 }
 
 impl<'a> Node<'a> {
@@ -77,12 +77,13 @@ impl<'a> Node<'a> {
             .name("matching".into())
             .spawn(|| matcher.run())
             .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
-        let subscribers = Input::ALL.map(|input| subscribe(ros, input, &mailbox, &interrupts, &clock, &log));
-        let subscribers = subscribers.into_iter().collect::<Result<_, _>>()?;
-        let reset = Some(offer_reset(ros, &mailbox)?);
+        let links = Links::new(ros, &clock, &log)?;
+        Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, &mailbox, &interrupts))?;
+        let reset = offer_reset(ros, &mailbox)?;
+        roles.push(Role::of_service(ros, RESET)?);
         let master = MasterLink::new(ros, master, roles, &log)?;
         announce(ros, &log, config, &contract)?;
-        Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, log, _subscribers: subscribers, reset })
+        Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, links, _reset: reset })
     }
 
     /// Once a second: the master and the diagnostics. Until somebody wants the node to stop.
@@ -92,23 +93,14 @@ impl<'a> Node<'a> {
             let elapsed = self.clock.now().saturating_sub(last);
             if elapsed >= diagnostics::PERIOD {
                 last = self.clock.now();
-                self.look_after_master();
+                self.master.check();
+                self.monitor.set_too_long(self.links.refused());
                 let (dropped, present) = (self.mailbox.dropped(), self.master.is_present());
                 self.diagnostics.publish(self.ros, &self.monitor, dropped, present, elapsed.as_secs_f64());
             }
         }
         self.mailbox.close();
         let _ = self.matching.join(); // a panic there has been reported by now
-    }
-
-    fn look_after_master(&mut self) {
-        if self.master.check() == Change::Returned {
-            self.reset = None; // the old one must be gone before its name can be used again
-            match offer_reset(self.ros, &self.mailbox) {
-                Ok(service) => self.reset = Some(service),
-                Err(error) => self.log.warn(&error.to_string()),
-            }
-        }
     }
 }
 

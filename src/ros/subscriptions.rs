@@ -3,15 +3,11 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use rosrust::Subscriber;
-use rosrust::api::Ros;
-
 use super::NodeError;
 use super::inlet::{Letter, Topic, listen};
 use super::interrupts::Interrupts;
-use super::log::Log;
+use super::links::Links;
 use super::mailbox::{Event, Mailbox};
-use crate::anytime::clock::Clock;
 use crate::messages::geometry_msgs::PoseWithCovarianceStamped;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::Contract;
@@ -65,28 +61,25 @@ impl Input {
 
 /// Subscribes to `input`; what comes goes into the mailbox.
 pub(super) fn subscribe(
-    ros: &Ros,
+    links: &Links,
     input: Input,
     mailbox: &Arc<Mailbox>,
     interrupts: &Arc<Interrupts>,
-    clock: &Arc<dyn Clock>,
-    log: &Log,
-) -> Result<Subscriber, NodeError> {
+) -> Result<(), NodeError> {
     let (mailbox, interrupts) = (Arc::clone(mailbox), Arc::clone(interrupts));
-    let (node, mut numbering) = (ros.name().to_owned(), Numbering::default());
+    let mut numbering = Numbering::default();
     let receive = move |letter: Letter| match input {
         Input::Scan => {
             mailbox.count_lost_scans(numbering.lost_before(&letter).into());
             mailbox.put_scan(letter);
         }
         Input::Interrupt => interrupts.request(),
-        Input::Transforms | Input::StaticTransforms if letter.sender == node => {}
         input => mailbox.put_event(Event::Message(input, letter)),
     };
-    listen(ros, input.topic(), clock, log, receive)
+    listen(links, input.topic(), receive)
 }
 
-/// Watches the `header.seq` of each sender's scans: in a burst rosrust loses messages on the way to us and does not say so.
+/// Watches the `header.seq` of each sender's scans: in a burst a publisher loses messages on the way to us and does not say so.
 #[derive(Default)]
 struct Numbering {
     last: HashMap<String, u32>,

@@ -5,7 +5,9 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod contracts;
+#[path = "../common/drive.rs"]
 mod drive;
+#[path = "../common/graph.rs"]
 mod graph;
 mod peer;
 

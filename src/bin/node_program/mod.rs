@@ -1,6 +1,8 @@
 //! What the programs of all nodes do with their arguments: those that are not ROS's.
 
-use std::process::ExitCode;
+use std::env;
+use std::os::unix::process::CommandExt as _;
+use std::process::{Command, ExitCode};
 
 use anytime_scan_matcher::knobs::KnobInfo;
 use anytime_scan_matcher::ros::NodeError;
@@ -39,6 +41,7 @@ impl NodeProgram<'_> {
     }
 
     fn run_node(&self) -> ExitCode {
+        limit_arenas();
         match (self.run)() {
             Ok(()) => ExitCode::SUCCESS,
             Err(error) => {
@@ -49,7 +52,20 @@ impl NodeProgram<'_> {
     }
 }
 
+/// Starts the program once more in this process, with a limit to the C library's memory arenas, unless that has been set: it takes the
+/// limit from the environment that a program starts with, and nowhere else. Every thread may have an arena, and each reserves 64 MB of
+/// addresses. Where addresses are limited (`ulimit -v`), that alone would leave none for another thread.
+fn limit_arenas() {
+    const LIMIT: &str = "MALLOC_ARENA_MAX";
+    if env::var_os(LIMIT).is_none()
+        && let Ok(program) = env::current_exe()
+    {
+        // Returns only when it has failed; then there is no limit.
+        let _ = Command::new(program).args(env::args_os().skip(1)).env(LIMIT, "2").exec();
+    }
+}
+
 /// The first argument that is not ROS's.
 fn unknown_argument() -> Option<String> {
-    std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned()).find(|argument| !argument.contains(":="))
+    env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned()).find(|argument| !argument.contains(":="))
 }

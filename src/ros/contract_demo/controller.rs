@@ -5,7 +5,6 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
-use rosrust::Subscriber;
 use rosrust::api::{Master, Ros};
 use rosrust_msg::anytime_scan_matcher::Contract as ContractMessage;
 use serde::Deserialize;
@@ -22,6 +21,7 @@ use crate::messages::std_msgs::{Header, Int32};
 use crate::messages::{Message, decode};
 use crate::ros::NodeError;
 use crate::ros::inlet::{Letter, Topic, listen};
+use crate::ros::links::Links;
 use crate::ros::log::{Log, ROSOUT, Throttle};
 use crate::ros::master::{MasterLink, Role};
 use crate::ros::publishers::Output;
@@ -67,8 +67,8 @@ pub(super) struct Controller<'a> {
     log_period: Duration,
     log: Log,
     throttle: Throttle,
-    // Dropping these ends them.
-    _subscribers: Vec<Subscriber>,
+    // Dropping this ends them.
+    _subscriptions: Links<'a>,
 }
 
 impl<'a> Controller<'a> {
@@ -80,7 +80,8 @@ impl<'a> Controller<'a> {
         let csv = csv.map_err(|problem| NodeError::Csv { problem })?;
         let contracts = Output::new(ros, "icp_contract")?;
         let (sender, letters) = channel();
-        let subscribers = Input::ALL.map(|input| subscribe(ros, input, &clock, &log, sender.clone()));
+        let links = Links::new(ros, &clock, &log)?;
+        Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, sender.clone()))?;
         let mut roles: Vec<Role> = Input::ALL.map(|input| input.topic().role()).into();
         roles.extend([contracts.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
         let master = MasterLink::new(ros, master, roles, &log)?;
@@ -104,7 +105,7 @@ impl<'a> Controller<'a> {
             log_period: Duration::from_secs_f64(knobs.log_period.0),
             log,
             throttle: Throttle::default(),
-            _subscribers: subscribers.into_iter().collect::<Result<_, _>>()?,
+            _subscriptions: links,
         })
     }
 
@@ -194,15 +195,9 @@ impl<'a> Controller<'a> {
     }
 }
 
-fn subscribe(
-    ros: &Ros,
-    input: Input,
-    clock: &Arc<dyn Clock>,
-    log: &Log,
-    sender: Sender<(Input, Letter)>,
-) -> Result<Subscriber, NodeError> {
+fn subscribe(links: &Links, input: Input, sender: Sender<(Input, Letter)>) -> Result<(), NodeError> {
     // Nobody listens any more when the node is ending.
-    listen(ros, input.topic(), clock, log, move |letter| drop(sender.send((input, letter))))
+    listen(links, input.topic(), move |letter| drop(sender.send((input, letter))))
 }
 
 /// With the header of the odometry that it follows from.

@@ -1,4 +1,5 @@
 //! A drive through a room, as a bag; and what was recorded of its matching.
+#![allow(dead_code)] // each test program uses some of it
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -34,14 +35,14 @@ pub const TOPICS: [&str; 5] = ["/scan", "/scan_match_location", "/icp_state", "/
 pub const LASER_IN_BASE: Pose2 = Pose2 { x: 0.1, y: 0.0, theta: 0.0 };
 pub const MOUNT: &str = "_odometry/laser_in_base:=[0.1, 0, 0]";
 const START: u32 = 1_700_000_000;
-const PERIOD: f64 = 0.025;
+pub const PERIOD: f64 = 0.025;
 
 pub fn at(seconds: f64) -> Stamp {
     Stamp::from_ros(START, 0).offset_by(seconds)
 }
 
 /// On a circle, starting at the origin.
-fn base_pose(seconds: f64) -> Pose2 {
+pub fn base_pose(seconds: f64) -> Pose2 {
     let (radius, angle) = (1.2, 0.4 * seconds);
     Pose2::new(radius * angle.sin(), radius * (1.0 - angle.cos()), angle)
 }
@@ -58,7 +59,7 @@ pub fn header(seconds: f64, frame: &str) -> Header {
 }
 
 #[allow(clippy::cast_possible_truncation)] // messages carry f32
-fn scan(number: u32, seconds: f64, laser: Laser) -> LaserScan {
+pub fn scan(number: u32, seconds: f64, laser: Laser) -> LaserScan {
     let room_from_laser = Pose2::new(-1.0, -1.0, 0.3) * base_pose(seconds) * LASER_IN_BASE;
     let ranges = laser
         .geometry()
@@ -79,7 +80,7 @@ fn scan(number: u32, seconds: f64, laser: Laser) -> LaserScan {
 }
 
 /// Wheels that roll 2 % too far.
-fn odometry(seconds: f64) -> Odometry {
+pub fn odometry(seconds: f64) -> Odometry {
     let truth = base_pose(seconds);
     let mut message = Odometry { header: header(seconds, "odom"), child_frame_id: "base_link".into(), ..Odometry::default() };
     message.pose.pose = pose_message(Pose2::new(1.02 * truth.x, 1.02 * truth.y, truth.theta));

@@ -1,4 +1,5 @@
 //! A ROS graph of its own for each test: a master on a free port, and everything the test starts ended when it is over.
+#![allow(dead_code)] // each test program uses some of it
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -12,7 +13,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 pub const PACKAGE: &str = env!("CARGO_MANIFEST_DIR");
-const NODE: &str = env!("CARGO_BIN_EXE_scan_matcher");
+pub const NODE: &str = env!("CARGO_BIN_EXE_scan_matcher");
 /// For whatever should happen soon; a loaded machine may take its time.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -136,13 +137,13 @@ impl Graph {
 
     /// Who publishes, subscribes and serves what: the master's own answer, in XML.
     pub fn master_state(&self) -> String {
-        let body = "<?xml version='1.0'?><methodCall><methodName>getSystemState</methodName><params><param><value>\
-                    <string>/test</string></value></param></params></methodCall>";
-        let mut stream = TcpStream::connect(("localhost", self.port)).unwrap();
-        write!(stream, "POST /RPC2 HTTP/1.0\r\nContent-Type: text/xml\r\nContent-Length: {}\r\n\r\n{body}", body.len()).unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        answer
+        self.call_master("getSystemState", &["/test"])
+    }
+
+    /// The master's answer, in XML, to a call with these strings.
+    pub fn call_master(&self, method: &str, arguments: &[&str]) -> String {
+        let values: Vec<String> = arguments.iter().map(|text| format!("<string>{text}</string>")).collect();
+        call(&format!("localhost:{}", self.port), method, &values)
     }
 
     /// The bag with what has been recorded.
@@ -170,6 +171,7 @@ impl Graph {
     pub fn trigger(&self, service: &str) -> String {
         let uri = self.output("rosservice", &["uri", service]);
         let mut stream = TcpStream::connect(uri.trim().strip_prefix("rosrpc://").unwrap()).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let field = |text: String| [u32::try_from(text.len()).unwrap().to_le_bytes().to_vec(), text.into_bytes()].concat();
         let header = [
             field(format!("service={service}")),
@@ -195,6 +197,18 @@ impl Graph {
         assert_eq!((ok[0], answer[0]), (1, 1), "the service failed");
         String::from_utf8(answer[5..].to_vec()).unwrap()
     }
+}
+
+/// The answer of an XML-RPC server to a call with these values.
+pub fn call(address: &str, method: &str, values: &[String]) -> String {
+    let values = values.iter().map(|value| format!("<param><value>{value}</value></param>")).collect::<Vec<_>>().concat();
+    let body =
+        format!("<?xml version='1.0'?><methodCall><methodName>{method}</methodName><params>{values}</params></methodCall>");
+    let mut stream = TcpStream::connect(address).unwrap();
+    write!(stream, "POST /RPC2 HTTP/1.0\r\nContent-Type: text/xml\r\nContent-Length: {}\r\n\r\n{body}", body.len()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    answer
 }
 
 /// A process in a group of its own, which ends with it.
@@ -226,6 +240,10 @@ impl Process {
 
     pub fn signal_group(&self, name: &str) {
         send(name, &format!("-{}", self.child.id()));
+    }
+
+    pub fn id(&self) -> u32 {
+        self.child.id()
     }
 
     pub fn is_running(&mut self) -> bool {

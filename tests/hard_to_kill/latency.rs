@@ -1,0 +1,87 @@
+//! From a scan on its way to its pose on its way back, over loopback; and beside it what a bare echo of as many bytes takes there.
+
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::time::{Duration, Instant};
+
+use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+
+use crate::bench::{Bench, send};
+
+/// Sends `count` scans at `hertz`; the latencies of those that were answered, in ascending order.
+fn measure(bench: &mut Bench, count: u32, hertz: f64) -> Vec<Duration> {
+    let scans: Vec<LaserScan> = (0..count).map(|_| bench.next_scan()).collect();
+    let last = scans.last().unwrap().header.stamp;
+    let mut stream = bench.scans.try_clone().unwrap();
+    let stamps: Vec<_> = scans.iter().map(|scan| scan.header.stamp).collect();
+    let sender = std::thread::spawn(move || {
+        let start = Instant::now();
+        let send_one = |(number, scan): (u32, &LaserScan)| {
+            let due = start + Duration::from_secs_f64(f64::from(number) / hertz);
+            std::thread::sleep(due.saturating_duration_since(Instant::now()));
+            let sent = Instant::now();
+            send(&mut stream, scan);
+            sent
+        };
+        (0..).zip(&scans).map(send_one).collect::<Vec<_>>()
+    });
+    let mut answers = Vec::new();
+    while answers.last().is_none_or(|(stamp, _)| *stamp != last) {
+        let pose: PoseStamped = bench.poses.next();
+        answers.push((pose.header.stamp, Instant::now()));
+    }
+    let sent = sender.join().unwrap();
+    let sent_at = |stamp| sent[stamps.iter().position(|s| *s == stamp).unwrap()];
+    let mut latencies: Vec<Duration> = answers.iter().map(|(stamp, came)| came.duration_since(sent_at(*stamp))).collect();
+    latencies.sort_unstable();
+    latencies
+}
+
+/// The latencies of an echo: of the bytes of a scan, all but a pose's worth are kept.
+fn measure_echo(count: u32, hertz: f64, bytes: usize) -> Vec<Duration> {
+    const POSE: usize = 100;
+    let listener = TcpListener::bind("localhost:0").unwrap();
+    let mut here = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+    let (mut there, _) = listener.accept().unwrap();
+    here.set_nodelay(true).unwrap();
+    there.set_nodelay(true).unwrap();
+    std::thread::spawn(move || {
+        let mut scan = vec![0; bytes];
+        while there.read_exact(&mut scan).is_ok() {
+            there.write_all(&scan[..POSE]).unwrap();
+        }
+    });
+    let once = |_| {
+        std::thread::sleep(Duration::from_secs_f64(1.0 / hertz));
+        let start = Instant::now();
+        here.write_all(&vec![0; bytes]).unwrap();
+        here.read_exact(&mut [0; POSE]).unwrap();
+        start.elapsed()
+    };
+    let mut latencies: Vec<Duration> = (0..count).map(once).collect();
+    latencies.sort_unstable();
+    latencies
+}
+
+fn print(what: &str, latencies: &[Duration]) {
+    let [median, tail, longest] = [50, 99, 100].map(|percent| latencies[(latencies.len() * percent).div_ceil(100) - 1]);
+    eprintln!("{what}: {} answers, p50 {median:?}, p99 {tail:?}, max {longest:?}", latencies.len());
+}
+
+#[test]
+fn latency_of_a_pose() {
+    let Some(mut bench) = Bench::start(1081) else { return };
+    bench.step();
+    let at_40 = measure(&mut bench, 200, 40.0);
+    print("1081 beams at 40 Hz", &at_40);
+    print("an echo of 1081 beams at 40 Hz", &measure_echo(200, 40.0, 4 * 1081));
+    assert!(at_40.len() > 150, "{}", at_40.len());
+    drop(bench);
+    let Some(mut bench) = Bench::start(181) else { return };
+    bench.step();
+    let at_1000 = measure(&mut bench, 2000, 1000.0);
+    print("181 beams at 1 kHz", &at_1000);
+    print("an echo of 181 beams at 1 kHz", &measure_echo(2000, 1000.0, 4 * 181));
+    assert!(at_1000.len() > 300, "{}", at_1000.len());
+}

@@ -1,0 +1,153 @@
+//! Nodes made of bytes: they can do what no client library would.
+
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::time::Duration;
+
+use anytime_scan_matcher::messages::{self, Message};
+use serde::Deserialize;
+
+use crate::graph::{Graph, PATIENCE, call, eventually};
+
+/// A publisher in the master's books that answers whoever asks for its port, and leaves the rest to the test.
+pub struct Publisher {
+    name: String,
+    topic: &'static str,
+    message_type: &'static str,
+    md5: &'static str,
+    api: String,
+    data: TcpListener,
+}
+
+impl Publisher {
+    pub fn new<T: Message>(graph: &Graph, name: &str, topic: &'static str) -> Self {
+        let (api, data) = (TcpListener::bind("localhost:0").unwrap(), TcpListener::bind("localhost:0").unwrap());
+        data.set_nonblocking(true).unwrap();
+        let (api_port, port) = (api.local_addr().unwrap().port(), data.local_addr().unwrap().port());
+        std::thread::spawn(move || answer_requests(&api, port));
+        let api = format!("http://localhost:{api_port}/");
+        let publisher = Self { name: name.into(), topic, message_type: T::TYPE, md5: T::MD5, api, data };
+        publisher.register(graph);
+        publisher
+    }
+
+    pub fn register(&self, graph: &Graph) {
+        graph.call_master("registerPublisher", &[&self.name, self.topic, self.message_type, &self.api]);
+    }
+
+    pub fn unregister(&self, graph: &Graph) {
+        graph.call_master("unregisterPublisher", &[&self.name, self.topic, &self.api]);
+    }
+
+    /// The next subscriber, whose header is not answered yet.
+    pub fn accept(&self) -> TcpStream {
+        let mut stream = None;
+        assert!(
+            eventually(|| {
+                stream = self.data.accept().ok();
+                stream.is_some()
+            }),
+            "nobody subscribes to {} of {}",
+            self.topic,
+            self.name
+        );
+        let (mut stream, _) = stream.unwrap();
+        stream.set_nonblocking(false).unwrap();
+        stream.set_nodelay(true).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        read_block(&mut stream).unwrap();
+        stream
+    }
+
+    /// The next subscriber, who may be sent messages.
+    pub fn link(&self) -> TcpStream {
+        let mut stream = self.accept();
+        let fields = [("callerid", &*self.name), ("type", self.message_type), ("md5sum", self.md5), ("topic", self.topic)];
+        stream.write_all(&header(&fields)).unwrap();
+        stream
+    }
+}
+
+/// To every call: here it is published.
+fn answer_requests(api: &TcpListener, port: u16) {
+    let body = format!(
+        "<?xml version='1.0'?><methodResponse><params><param><value><array><data><value><int>1</int></value><value><string>\
+         </string></value><value><array><data><value><string>TCPROS</string></value><value><string>localhost</string></value>\
+         <value><int>{port}</int></value></data></array></value></data></array></value></param></params></methodResponse>"
+    );
+    for stream in api.incoming() {
+        let mut stream = BufReader::new(stream.unwrap());
+        let lines = stream.by_ref().lines().map_while(Result::ok).take_while(|line| !line.is_empty());
+        let length = lines.filter_map(|line| line.to_lowercase().strip_prefix("content-length:")?.trim().parse().ok()).last();
+        let _ = stream.read_exact(&mut vec![0; length.unwrap_or_default()]);
+        let mut stream = stream.into_inner();
+        let head = "HTTP/1.1 200 OK\r\nContent-Type: text/xml\r\nConnection: close";
+        let _ = write!(stream, "{head}\r\nContent-Length: {}\r\n\r\n{body}", body.len());
+    }
+}
+
+/// Somebody who hears a topic of the node.
+pub struct Listener {
+    pub stream: TcpStream,
+}
+
+impl Listener {
+    /// Connects and says what a subscriber says first.
+    pub fn new(graph: &Graph, topic: &str) -> Self {
+        let mut stream = connect(graph, topic);
+        stream.write_all(&header(&[("callerid", "/listener"), ("topic", topic), ("md5sum", "*"), ("type", "*")])).unwrap();
+        read_block(&mut stream).unwrap();
+        std::thread::sleep(Duration::from_millis(200)); // the node adds it to those it sends to
+        Self { stream }
+    }
+
+    pub fn next<T: Message + for<'de> Deserialize<'de>>(&mut self) -> T {
+        messages::decode(&self.next_bytes().unwrap()).unwrap()
+    }
+
+    /// The first message from now on that `is_it`.
+    pub fn find<T: Message + for<'de> Deserialize<'de>>(&mut self, is_it: impl Fn(&T) -> bool) -> T {
+        loop {
+            let message = self.next();
+            if is_it(&message) {
+                return message;
+            }
+        }
+    }
+
+    pub fn next_bytes(&mut self) -> io::Result<Vec<u8>> {
+        read_block(&mut self.stream)
+    }
+}
+
+/// A connection to the port where the node publishes `topic`; nothing has been said.
+pub fn connect(graph: &Graph, topic: &str) -> TcpStream {
+    let answer = graph.call_master("lookupNode", &["/test", "/scan_matcher"]);
+    let api = answer.split("http://").nth(1).unwrap().split('/').next().unwrap();
+    let protocols =
+        "<array><data><value><array><data><value><string>TCPROS</string></value></data></array></value></data></array>";
+    let answer =
+        call(api, "requestTopic", &["<string>/test</string>".into(), format!("<string>{topic}</string>"), protocols.into()]);
+    let mut numbers = answer.rsplit(|c: char| !c.is_ascii_digit()).filter_map(|word| word.parse::<u16>().ok());
+    let port = numbers.find(|port| *port > 1024).unwrap();
+    let stream = TcpStream::connect(("localhost", port)).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream
+}
+
+/// `bytes` with their number before them.
+pub fn frame(bytes: &[u8]) -> Vec<u8> {
+    [&u32::try_from(bytes.len()).unwrap().to_le_bytes()[..], bytes].concat()
+}
+
+fn header(fields: &[(&str, &str)]) -> Vec<u8> {
+    frame(&fields.iter().flat_map(|(name, value)| frame(format!("{name}={value}").as_bytes())).collect::<Vec<_>>())
+}
+
+fn read_block(stream: &mut TcpStream) -> io::Result<Vec<u8>> {
+    let mut length = [0; 4];
+    stream.read_exact(&mut length)?;
+    let mut bytes = vec![0; u32::from_le_bytes(length) as usize];
+    stream.read_exact(&mut bytes)?;
+    Ok(bytes)
+}
