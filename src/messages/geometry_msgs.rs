@@ -124,6 +124,15 @@ pub struct Twist {
     pub angular: Vector3,
 }
 
+impl Message for Twist {
+    const TYPE: &'static str = "geometry_msgs/Twist";
+    const MD5: &'static str = "9f195f881246fdfa2798d1d3eebca84a";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("geometry_msgs/Twist", include_str!("../../msg/geometry_msgs/msg/Twist.msg")),
+        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
+    ];
+}
+
 /// `geometry_msgs/TwistWithCovariance`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TwistWithCovariance {

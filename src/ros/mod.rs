@@ -1,4 +1,4 @@
-//! The ROS 1 nodes: the one around [`App`](crate::app::App), and a controller for it. Nothing else in this project knows of rosrust.
+//! The ROS 1 nodes: the one around [`App`](crate::app::App), a controller for it, and a simulator. Nothing else in this project knows of rosrust.
 //!
 //! ```text
 //!  rosrust's threads          matching thread               main thread
@@ -19,10 +19,12 @@ mod mailbox;
 mod master;
 mod matcher;
 mod node;
+mod outlet;
 mod params;
 mod path;
 mod priority;
 mod publishers;
+pub mod racecar_sim;
 mod shell;
 mod shutdown;
 mod subscriptions;
@@ -34,7 +36,9 @@ use thiserror::Error;
 use crate::anytime::contract::ContractError;
 use crate::app::StartError;
 use crate::config::ConfigError;
+use crate::io::map_file::MapError;
 use crate::shared_memory::SharedMemoryError;
+use crate::simulation::planner::NoLoop;
 
 /// Why the node cannot run.
 #[derive(Debug, Error)]
@@ -56,6 +60,12 @@ pub enum NodeError {
     /// The shared memory cannot be had.
     #[error(transparent)]
     SharedMemory(#[from] SharedMemoryError),
+    /// The map cannot be used.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// There is no way to drive on and on in the world.
+    #[error(transparent)]
+    Route(#[from] NoLoop),
     /// A file of comma-separated values cannot be written.
     #[error("cannot write {problem}")]
     Csv {

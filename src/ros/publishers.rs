@@ -27,16 +27,19 @@ const QUEUE: usize = 100;
 /// rosrust writes the present time over stamps of zero and its own numbers over ours, so it is given bytes.
 pub(super) struct Output<T> {
     topic: &'static str,
+    message_type: String,
     publisher: Publisher<RawMessage>,
     message: PhantomData<fn(T)>,
 }
 
-impl<T: Message> Output<T> {
-    pub(super) fn new(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
+impl<T> Output<T> {
+    /// A topic of messages of this description.
+    pub(super) fn described(ros: &Ros, topic: &'static str, description: RawMessageDescription) -> Result<Self, NodeError> {
+        let message_type = description.msg_type.clone();
         let publisher = ros
-            .publish_with_description(topic, QUEUE, RawMessageDescription::from_message::<T>())
+            .publish_with_description(topic, QUEUE, description)
             .map_err(|error| NodeError::ros(format!("publish '{topic}'"), &error))?;
-        Ok(Self { topic, publisher, message: PhantomData })
+        Ok(Self { topic, message_type, publisher, message: PhantomData })
     }
 
     /// New listeners are given the last message at once.
@@ -49,18 +52,30 @@ impl<T: Message> Output<T> {
         self.publisher.subscriber_count() > 0
     }
 
-    /// Hands a message over, if anybody listens; what it takes to make it is spent only then.
-    pub(super) fn send(&self, message: impl FnOnce() -> T) {
+    /// Hands the wire form of a message over, if anybody listens; what it takes to make it is spent only then.
+    pub(super) fn send_bytes(&self, bytes: impl FnOnce() -> Vec<u8>) {
         if self.has_listeners() {
-            let mut bytes = Vec::new();
-            // Neither can fail: the one writes to memory, the other only queues.
-            let _ = message().encode(&mut bytes);
-            let _ = self.publisher.send(RawMessage(bytes));
+            let _ = self.publisher.send(RawMessage(bytes())); // only queues
         }
     }
 
     pub(super) fn role(&self) -> Role {
-        Role::Publisher { topic: self.topic, message_type: T::msg_type() }
+        Role::Publisher { topic: self.topic, message_type: self.message_type.clone() }
+    }
+}
+
+impl<T: Message> Output<T> {
+    pub(super) fn new(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
+        Self::described(ros, topic, RawMessageDescription::from_message::<T>())
+    }
+
+    /// Hands a message over, as [`Self::send_bytes`] does.
+    pub(super) fn send(&self, message: impl FnOnce() -> T) {
+        self.send_bytes(|| {
+            let mut bytes = Vec::new();
+            let _ = message().encode(&mut bytes); // cannot fail: it writes to memory
+            bytes
+        });
     }
 }
 

@@ -40,8 +40,13 @@ pub fn at(seconds: f64) -> Stamp {
     Stamp::from_ros(START, 0).offset_by(seconds)
 }
 
+/// Where the drive begins in the room.
+pub fn room_from_odom() -> Pose2 {
+    Pose2::new(-1.0, -1.0, 0.3)
+}
+
 /// On a circle, starting at the origin.
-fn base_pose(seconds: f64) -> Pose2 {
+pub fn base_pose(seconds: f64) -> Pose2 {
     let (radius, angle) = (1.2, 0.4 * seconds);
     Pose2::new(radius * angle.sin(), radius * (1.0 - angle.cos()), angle)
 }
@@ -59,7 +64,7 @@ pub fn header(seconds: f64, frame: &str) -> Header {
 
 #[allow(clippy::cast_possible_truncation)] // messages carry f32
 fn scan(number: u32, seconds: f64, laser: Laser) -> LaserScan {
-    let room_from_laser = Pose2::new(-1.0, -1.0, 0.3) * base_pose(seconds) * LASER_IN_BASE;
+    let room_from_laser = room_from_odom() * base_pose(seconds) * LASER_IN_BASE;
     let ranges = laser
         .geometry()
         .directions()
@@ -79,7 +84,7 @@ fn scan(number: u32, seconds: f64, laser: Laser) -> LaserScan {
 }
 
 /// Wheels that roll 2 % too far.
-fn odometry(seconds: f64) -> Odometry {
+pub fn odometry(seconds: f64) -> Odometry {
     let truth = base_pose(seconds);
     let mut message = Odometry { header: header(seconds, "odom"), child_frame_id: "base_link".into(), ..Odometry::default() };
     message.pose.pose = pose_message(Pose2::new(1.02 * truth.x, 1.02 * truth.y, truth.theta));

@@ -9,10 +9,15 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use anytime_scan_matcher::io::bag::{BagWriter, Compression};
+use anytime_scan_matcher::messages::Message;
+use anytime_scan_matcher::time::Stamp;
+use serde::Serialize;
 use tempfile::TempDir;
 
 pub const PACKAGE: &str = env!("CARGO_MANIFEST_DIR");
 const NODE: &str = env!("CARGO_BIN_EXE_scan_matcher");
+const PROGRAMS: [&str; 3] = [NODE, env!("CARGO_BIN_EXE_contract_demo"), env!("CARGO_BIN_EXE_racecar_sim")];
 /// For whatever should happen soon; a loaded machine may take its time.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -113,6 +118,21 @@ impl Graph {
         String::from_utf8(output.stdout).unwrap()
     }
 
+    /// A launch file of this package, with a target directory whose release build are the programs under test.
+    pub fn launch(&self, file: &str, arguments: &[&str]) -> Process {
+        let release = self.dir.path().join("target/release");
+        fs::create_dir_all(&release).unwrap();
+        for program in PROGRAMS.map(Path::new) {
+            let link = release.join(program.file_name().unwrap());
+            if !link.exists() {
+                std::os::unix::fs::symlink(program, link).unwrap();
+            }
+        }
+        let mut command = self.command("roslaunch");
+        command.env("CARGO_TARGET_DIR", release.parent().unwrap()).args(["anytime_scan_matcher", file]).args(arguments);
+        Process::spawn(command, self.dir.path())
+    }
+
     /// The node, without waiting for anything.
     pub fn spawn_node(&self, arguments: &[&str]) -> Process {
         self.spawn(NODE, arguments)
@@ -158,6 +178,15 @@ impl Graph {
     pub fn play(&self, bag: &Path, arguments: &[&str]) {
         let mut player = self.start_playing(bag, arguments);
         assert_eq!(player.exit_code(6 * PATIENCE), Some(0), "{}", player.log());
+    }
+
+    /// Publishes one message.
+    pub fn say<T: Message + Serialize>(&self, topic: &str, message: &T) {
+        let bag = self.dir.path().join("said.bag");
+        let mut writer = BagWriter::create(&bag, Compression::None).unwrap();
+        writer.write(topic, Stamp::from_ros(1, 0), message).unwrap();
+        writer.finish().unwrap();
+        self.play(&bag, &[]);
     }
 
     pub fn start_playing(&self, bag: &Path, arguments: &[&str]) -> Process {

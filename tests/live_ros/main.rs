@@ -7,7 +7,9 @@ mod common;
 mod contracts;
 mod drive;
 mod graph;
+mod mounts;
 mod peer;
+mod racecar_sim;
 
 use std::fs;
 use std::path::Path;
@@ -15,10 +17,11 @@ use std::time::{Duration, Instant};
 
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
-use anytime_scan_matcher::messages::geometry_msgs::{PoseStamped, PoseWithCovarianceStamped, TransformStamped};
+use anytime_scan_matcher::messages::ackermann_msgs::AckermannDriveStamped;
+use anytime_scan_matcher::messages::geometry_msgs::{PoseStamped, PoseWithCovarianceStamped, TransformStamped, Twist};
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::own::{self, Contract};
-use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use anytime_scan_matcher::messages::std_msgs::{Empty, Header, Int32};
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::messages::{self, Message};
@@ -82,6 +85,10 @@ fn message_types_are_those_of_the_ros_installed() {
         pair::<PoseWithCovarianceStamped, rosrust_msg::geometry_msgs::PoseWithCovarianceStamped>(),
         pair::<TransformStamped, rosrust_msg::geometry_msgs::TransformStamped>(),
     ];
+    pair::<PointCloud2, rosrust_msg::sensor_msgs::PointCloud2>();
+    pair::<Imu, rosrust_msg::sensor_msgs::Imu>();
+    pair::<AckermannDriveStamped, rosrust_msg::ackermann_msgs::AckermannDriveStamped>();
+    pair::<Twist, rosrust_msg::geometry_msgs::Twist>();
     pair::<Contract, rosrust_msg::anytime_scan_matcher::Contract>();
     pair::<own::MatchReport, MatchReport>();
     pair::<Int32, rosrust_msg::std_msgs::Int32>();
@@ -283,20 +290,8 @@ fn parameters_come_from_a_file_and_mistakes_end_the_node() {
 #[test]
 fn the_launch_file_starts_the_release_build_with_its_arguments() {
     let Some(graph) = Graph::start() else { return };
-    // A target directory whose release build is the node under test.
-    let release = graph.dir.path().join("target/release");
-    fs::create_dir_all(&release).unwrap();
-    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_scan_matcher"), release.join("scan_matcher")).unwrap();
-    let mut command = graph.command("roslaunch");
-    command.env("CARGO_TARGET_DIR", release.parent().unwrap()).args([
-        "anytime_scan_matcher",
-        "scan_matcher.launch",
-        "scan:=/front/scan",
-        "time_budget:=5ms",
-        "base_frame:=car",
-        "laser_in_base:=[1, 0, 0]",
-    ]);
-    let mut launch = Process::spawn(command, graph.dir.path());
+    let arguments = ["scan:=/front/scan", "time_budget:=5ms", "base_frame:=car", "laser_in_base:=[1, 0, 0]"];
+    let mut launch = graph.launch("scan_matcher.launch", &arguments);
     launch.expect_log("matches /front/scan with /odom to /scan_match_location (odom -> car, also on /tf), within 5ms");
     launch.signal("INT");
     assert!(launch.exit_code(PATIENCE).is_some());
