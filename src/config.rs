@@ -26,6 +26,8 @@ crate::knobs! {
         base_frame: String = "base_link".into();
         /// Publish the transform from `odom_frame` to `base_frame`; held back while another node publishes a parent of `base_frame`.
         publish_tf: bool = true;
+        /// Predict from what another node's transforms say of `base_frame` in this frame, rather than from anything else; unset: do not.
+        prediction_frame: Option<String> = None;
     }
 }
 

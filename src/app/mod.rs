@@ -1,5 +1,6 @@
 //! The application: messages in, estimates out. The node and the offline tool both drive this, so that a replay is what ran live.
 
+mod heading;
 pub mod localizer;
 mod warm_up;
 
@@ -14,7 +15,7 @@ use crate::anytime::contract::{BOUND_SIGMAS, Contract, ContractError};
 use crate::anytime::cost_model::{CostModel, Phase};
 use crate::anytime::interrupt::{Interrupt, Never};
 use crate::anytime::{Driver, ErrorEstimate, Task};
-use crate::config::Config;
+use crate::config::{Config, FrameKnobs};
 use crate::geometry::{Pose2, Twist2};
 use crate::io::cost_file::{self, CostFileError};
 use crate::io::profile_file::{ExpectedError, Profile, ProfileFileError, VariantProfile};
@@ -22,7 +23,7 @@ use crate::matching::IterationTrace;
 use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own;
-use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::sensor_msgs::{Imu, LaserScan};
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::WheelSample;
 use crate::odometry::{LaserOdometry, MatchedPoints, OdometryCounters, Registration};
@@ -41,6 +42,9 @@ pub enum InputError {
     /// A pose holds NaN or infinities.
     #[error("the pose has numbers that are not finite")]
     PoseNotFinite,
+    /// An angular velocity or a velocity holds NaN or infinities.
+    #[error("the velocity has numbers that are not finite")]
+    VelocityNotFinite,
     /// A quaternion is no rotation.
     #[error("the orientation's quaternion has length {length:.3}: it must be normalised")]
     QuaternionNotNormalized {
@@ -267,7 +271,36 @@ impl App {
     /// Takes transforms, static or not.
     pub fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
         let count = self.transforms.add(message);
+        self.predict_from(message);
         self.count_refused(if count == 0 { Ok(()) } else { Err(InputError::BadTransforms { count }) })
+    }
+
+    /// Where another node's transforms say the base is, if these are to predict.
+    fn predict_from(&mut self, message: &TFMessage) {
+        let FrameKnobs { prediction_frame: Some(frame), base_frame, .. } = &self.config.frames else { return };
+        let mut moved = message.transforms.iter().filter(|moved| self.transforms.carries(&moved.child_frame_id, base_frame));
+        if let (Some(moved), Some(place)) = (moved.next(), self.transforms.mount(frame, base_frame)) {
+            let stamp = moved.header.stamp.into();
+            self.odometry.add_transform_sample(WheelSample { stamp, pose: place.base_from_laser, twist: None });
+        }
+    }
+
+    /// Takes a reading of the IMU; one that says nothing (some simulators publish zeros) is let pass.
+    pub fn on_imu(&mut self, message: &Imu) -> Result<(), InputError> {
+        let mount = self.transforms.mount(&self.config.frames.base_frame, &message.header.frame_id);
+        let reading = heading::reading(message, mount.is_some_and(|mount| mount.upside_down));
+        if let Some(reading) = self.count_refused(reading)? {
+            self.odometry.add_heading(reading);
+        }
+        Ok(())
+    }
+
+    /// Takes the velocity of the base as it is now: the prediction where there is no odometry.
+    pub fn on_velocity(&mut self, message: &Twist) -> Result<(), InputError> {
+        let twist = Twist2 { vx: message.linear.x, vy: message.linear.y, omega: message.angular.z };
+        self.count_refused(if twist.is_finite() { Ok(()) } else { Err(InputError::VelocityNotFinite) })?;
+        self.odometry.set_velocity(twist);
+        Ok(())
     }
 
     /// Takes a contract; in force from the next scan on.

@@ -14,7 +14,7 @@ Matches laser scans and publishes where the robot is. A ROS 1 node; waits for th
 
 Usage: scan_matcher [TOPIC:=OTHER_TOPIC]... [_PARAMETER:=VALUE]... [__name:=NAME] [__ns:=NAMESPACE]
 
-Subscribes to:  scan, odom, icp_contract, icp_interrupt, initialpose, /tf, /tf_static
+Subscribes to:  scan, odom, imu/data, vel, icp_contract, icp_interrupt, initialpose, /tf, /tf_static
 Publishes:      scan_match_location, icp_state, icp/odom, icp_report, icp/path, scan_match_debug, /tf, /diagnostics
 Service:        ~reset
 

@@ -123,6 +123,8 @@ impl Matcher {
         let outcome = match input {
             Input::Scan | Input::Interrupt => Ok(()), // no events
             Input::Odometry => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_odometry(&message)),
+            Input::Imu => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_imu(&message)),
+            Input::Velocity => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_velocity(&message)),
             Input::InitialPose => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_initial_pose(&message)),
             Input::Contract => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_contract(&message)),
             Input::Transforms | Input::StaticTransforms => self.read(input, &letter).map_or(Ok(()), |message| {

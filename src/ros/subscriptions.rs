@@ -12,10 +12,10 @@ use super::interrupts::Interrupts;
 use super::log::Log;
 use super::mailbox::{Event, Mailbox};
 use crate::anytime::clock::Clock;
-use crate::messages::geometry_msgs::PoseWithCovarianceStamped;
+use crate::messages::geometry_msgs::{PoseWithCovarianceStamped, Twist};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::Contract;
-use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::sensor_msgs::{Imu, LaserScan};
 use crate::messages::std_msgs::Empty;
 use crate::messages::tf2_msgs::TFMessage;
 
@@ -27,6 +27,8 @@ const MAX_GAP: u32 = 100;
 pub(super) enum Input {
     Scan,
     Odometry,
+    Imu,
+    Velocity,
     Contract,
     Interrupt,
     InitialPose,
@@ -35,9 +37,11 @@ pub(super) enum Input {
 }
 
 impl Input {
-    pub(super) const ALL: [Self; 7] = [
+    pub(super) const ALL: [Self; 9] = [
         Self::Scan,
         Self::Odometry,
+        Self::Imu,
+        Self::Velocity,
         Self::Contract,
         Self::Interrupt,
         Self::InitialPose,
@@ -54,6 +58,8 @@ impl Input {
         match self {
             Self::Scan => Topic::of::<LaserScan>("scan"),
             Self::Odometry => Topic::of::<Odometry>("odom"),
+            Self::Imu => Topic::of::<Imu>("imu/data"),
+            Self::Velocity => Topic::of::<Twist>("vel"),
             Self::Contract => Topic::of::<Contract>("icp_contract"),
             Self::Interrupt => Topic::of::<Empty>("icp_interrupt"),
             Self::InitialPose => Topic::of::<PoseWithCovarianceStamped>("initialpose"),
