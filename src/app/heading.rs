@@ -39,7 +39,7 @@ mod tests {
     #[test]
     fn imus_say_as_much_as_they_measure() {
         let (yaw, rate) = found(&imu(Some(0.5), 0.2), false).unwrap();
-        assert!((yaw.unwrap() - 0.5).abs() < 1e-12 && rate == 0.2);
+        assert!((yaw.unwrap() - 0.5).abs() < 1e-12 && (rate - 0.2).abs() < 1e-12);
         assert_eq!(found(&imu(None, 0.2), true), Some((None, -0.2)));
         let unknown = Imu { orientation_covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], ..imu(Some(0.5), 0.2) };
         assert_eq!(found(&unknown, false), Some((None, 0.2)));

@@ -63,16 +63,16 @@ mod tests {
         let (world, _) = BuiltIn::Room.draw();
         let knobs = VehicleKnobs::default();
         let mut car = Car::new(&world, &knobs, Pose2::new(3.0, 0.0, 0.0));
-        let mut drive = |speed: f64, seconds: f64| {
-            for _ in 0..(seconds / 0.01) as usize {
+        let mut drive = |speed: f64, ticks: u32| {
+            for _ in 0..ticks {
                 car.step(Command { speed, curvature: 0.0 }, 0.01);
             }
             (car.map_from_base(), car.twist())
         };
-        let (at_wall, twist) = drive(5.0, 3.0);
+        let (at_wall, twist) = drive(5.0, 300);
         assert!((4.0..4.9).contains(&at_wall.x) && at_wall.y.abs() < 1e-9, "{at_wall:?}");
         assert!(twist.vx.abs() < 0.1, "{twist:?}");
-        let (away, twist) = drive(-1.0, 2.0);
+        let (away, twist) = drive(-1.0, 200);
         assert!(away.x < at_wall.x - 1.0 && (twist.vx + 1.0).abs() < 1e-9, "{away:?} {twist:?}");
     }
 
