@@ -316,6 +316,11 @@ impl App {
         self.contract = contract;
     }
 
+    /// Another limit of the iterations of one match; in force from the next scan on.
+    pub fn set_max_iterations(&mut self, limit: u32) {
+        self.odometry.set_max_iterations(limit);
+    }
+
     /// Takes the pose of the base: the next scan is the first one, there.
     pub fn on_initial_pose(&mut self, message: &PoseWithCovarianceStamped) -> Result<(), InputError> {
         let pose = self.count_refused(planar_pose(&message.pose.pose))?;

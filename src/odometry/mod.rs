@@ -247,6 +247,11 @@ impl LaserOdometry {
         &self.iterations
     }
 
+    /// Another limit of the iterations of one match.
+    pub fn set_max_iterations(&mut self, limit: u32) {
+        self.matcher.set_max_iterations(limit);
+    }
+
     /// Starts again: the next scan is the first one, at `odom_from_base`.
     pub fn restart_at(&mut self, odom_from_base: Pose2) {
         self.forget_reference();

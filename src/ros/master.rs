@@ -78,6 +78,11 @@ impl<'a> MasterLink<'a> {
         Ok(link)
     }
 
+    /// From now on it has this role too.
+    pub(super) fn add(&mut self, role: Role) {
+        self.roles.push(role);
+    }
+
     /// Whether the master answered when it was last asked.
     pub(super) fn is_present(&self) -> bool {
         self.present

@@ -1,6 +1,7 @@
 //! The matching thread: empties the mailbox, drives the application and publishes its answers.
 
 use std::sync::Arc;
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 use serde::Deserialize;
@@ -9,10 +10,12 @@ use super::convert::Answer;
 use super::diagnostics::Monitor;
 use super::inlet::Letter;
 use super::interrupts::{Interrupts, LOOK};
+use super::live_params::MatchingChange;
 use super::log::{Log, Throttle};
 use super::mailbox::{Event, Mailbox, Work};
 use super::priority::Urgency;
 use super::publishers::Publishers;
+use super::services::Reply;
 use super::subscriptions::Input;
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Interrupt;
@@ -36,6 +39,17 @@ impl Interrupt for NextScan<'_> {
     }
 }
 
+/// What the matching thread shares with the rest of the node.
+pub(super) struct Links {
+    pub(super) mailbox: Arc<Mailbox>,
+    pub(super) interrupts: Arc<Interrupts>,
+    pub(super) clock: Arc<dyn Clock>,
+    pub(super) monitor: Arc<Monitor>,
+    /// Takes what came of calls of services.
+    pub(super) replies: Sender<Reply>,
+    pub(super) log: Log,
+}
+
 /// Everything the matching thread owns.
 pub(super) struct Matcher {
     app: App,
@@ -44,6 +58,7 @@ pub(super) struct Matcher {
     interrupts: Arc<Interrupts>,
     clock: Arc<dyn Clock>,
     monitor: Arc<Monitor>,
+    replies: Sender<Reply>,
     log: Log,
     throttle: Throttle,
     mount_told: Option<MountSource>,
@@ -51,15 +66,9 @@ pub(super) struct Matcher {
 }
 
 impl Matcher {
-    pub(super) fn new(
-        app: App,
-        publishers: Publishers,
-        mailbox: Arc<Mailbox>,
-        interrupts: Arc<Interrupts>,
-        clock: Arc<dyn Clock>,
-        monitor: Arc<Monitor>,
-        log: Log,
-    ) -> Self {
+    /// `links`: what it shares with the rest of the node.
+    pub(super) fn new(app: App, publishers: Publishers, links: Links) -> Self {
+        let Links { mailbox, interrupts, clock, monitor, replies, log } = links;
         Self {
             app,
             publishers,
@@ -67,6 +76,7 @@ impl Matcher {
             interrupts,
             clock,
             monitor,
+            replies,
             log,
             throttle: Throttle::default(),
             mount_told: None,
@@ -118,6 +128,8 @@ impl Matcher {
     fn handle(&mut self, event: Event) {
         let (input, letter) = match event {
             Event::Reset => return self.app.reset(),
+            Event::SaveProfile => return self.save_profile(),
+            Event::Change(change) => return self.apply(change),
             Event::Message(input, letter) => (input, letter),
         };
         let outcome = match input {
@@ -134,6 +146,24 @@ impl Matcher {
         };
         if let Err(error) = outcome {
             self.refuse(input, &letter.sender, &error);
+        }
+    }
+
+    fn save_profile(&mut self) {
+        let outcome = match &self.app.config().contract.cost_file {
+            None => Err("there is no file to save to: set the parameter contract/cost_file and start the node again".into()),
+            Some(path) => {
+                let done = format!("what matching costs on this machine is in {path}");
+                self.app.store_costs().map(|()| done).map_err(|error| error.to_string())
+            }
+        };
+        let _ = self.replies.send(outcome); // nobody waits any more when the node is ending
+    }
+
+    fn apply(&mut self, change: MatchingChange) {
+        match change {
+            MatchingChange::Contract(contract) => self.app.set_contract(contract),
+            MatchingChange::MaxIterations(limit) => self.app.set_max_iterations(limit),
         }
     }
 

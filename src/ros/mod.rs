@@ -14,6 +14,7 @@ mod convert;
 mod diagnostics;
 mod inlet;
 mod interrupts;
+mod live_params;
 mod log;
 mod mailbox;
 mod master;
@@ -25,9 +26,11 @@ mod path;
 mod priority;
 mod publishers;
 pub mod racecar_sim;
+mod services;
 mod shell;
 mod shutdown;
 mod subscriptions;
+mod transform_output;
 
 pub use node::run;
 

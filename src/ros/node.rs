@@ -4,20 +4,22 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
+use rosrust::Subscriber;
 use rosrust::api::{Master, Ros};
-use rosrust::{Service, Subscriber};
-use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
 use super::diagnostics::{self, Diagnostics, Monitor};
 use super::interrupts::Interrupts;
+use super::live_params::{Change, ParameterWatch};
 use super::log::{Log, ROSOUT};
 use super::mailbox::{Event, Mailbox};
-use super::master::{Change, MasterLink, Role, resolved};
-use super::matcher::Matcher;
+use super::master::{self, MasterLink, Role, resolved};
+use super::matcher::{Links, Matcher};
 use super::publishers::Publishers;
+use super::services::Services;
 use super::shutdown::StopSignal;
 use super::subscriptions::{Input, subscribe};
+use super::transform_output::TransformOutput;
 use super::{params, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
@@ -25,7 +27,6 @@ use crate::app::App;
 use crate::config::Config;
 
 const NAME: &str = "scan_matcher";
-const RESET: &str = "~reset";
 /// How often the node looks whether it is to stop.
 const TICK: Duration = Duration::from_millis(100);
 
@@ -50,9 +51,11 @@ struct Node<'a> {
     master: MasterLink<'a>,
     matching: thread::JoinHandle<()>,
     log: Log,
+    services: Services,
+    parameters: ParameterWatch<'a>,
+    transform: Arc<TransformOutput>,
     // Dropping these ends them.
     _subscribers: Vec<Subscriber>,
-    reset: Option<Service>,
 }
 
 impl<'a> Node<'a> {
@@ -64,25 +67,49 @@ impl<'a> Node<'a> {
         let mut app = App::new(config, Arc::clone(&clock))?;
         app.warm_up()?;
         app.set_interrupt(Arc::clone(&interrupts) as Arc<_>);
-        let publishers = Publishers::new(ros, config.frames.publish_tf)?;
+        let transform = Arc::new(TransformOutput::default());
+        transform.switch(ros, config.frames.publish_tf)?;
+        let publishers = Publishers::new(ros, Arc::clone(&transform))?;
         let diagnostics = Diagnostics::new(ros)?;
         let mut roles = publishers.roles();
         roles.extend(Input::ALL.map(|input| input.topic().role()));
         roles.extend([diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
         let contract = app.contract();
 
-        let (in_box, time) = (Arc::clone(&mailbox), Arc::clone(&clock));
-        let matcher = Matcher::new(app, publishers, in_box, Arc::clone(&interrupts), time, Arc::clone(&monitor), log.clone());
+        let (mut services, replies) = Services::new(&mailbox);
+        let links = Links {
+            mailbox: Arc::clone(&mailbox),
+            interrupts: Arc::clone(&interrupts),
+            clock: Arc::clone(&clock),
+            monitor: Arc::clone(&monitor),
+            replies,
+            log: log.clone(),
+        };
+        let matcher = Matcher::new(app, publishers, links);
         let matching = thread::Builder::new()
             .name("matching".into())
             .spawn(|| matcher.run())
             .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
         let subscribers = Input::ALL.map(|input| subscribe(ros, input, &mailbox, &interrupts, &clock, &log));
         let subscribers = subscribers.into_iter().collect::<Result<_, _>>()?;
-        let reset = Some(offer_reset(ros, &mailbox)?);
+        services.offer(ros)?;
+        let parameters = ParameterWatch::new(master, ros.name(), config)?;
         let master = MasterLink::new(ros, master, roles, &log)?;
         announce(ros, &log, config, &contract)?;
-        Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, log, _subscribers: subscribers, reset })
+        Ok(Self {
+            ros,
+            clock,
+            mailbox,
+            monitor,
+            diagnostics,
+            master,
+            matching,
+            log,
+            services,
+            parameters,
+            transform,
+            _subscribers: subscribers,
+        })
     }
 
     /// Once a second: the master and the diagnostics. Until somebody wants the node to stop.
@@ -102,23 +129,36 @@ impl<'a> Node<'a> {
     }
 
     fn look_after_master(&mut self) {
-        if self.master.check() == Change::Returned {
-            self.reset = None; // the old one must be gone before its name can be used again
-            match offer_reset(self.ros, &self.mailbox) {
-                Ok(service) => self.reset = Some(service),
-                Err(error) => self.log.warn(&error.to_string()),
+        if self.master.check() == master::Change::Returned
+            && let Err(error) = self.services.offer(self.ros)
+        {
+            self.log.warn(&error.to_string());
+        }
+        if self.master.is_present() {
+            self.look_after_parameters();
+        }
+    }
+
+    fn look_after_parameters(&mut self) {
+        for (name, change) in self.parameters.look() {
+            let done = change.and_then(|change| self.apply(change));
+            match done {
+                Ok(()) => self.log.info(&format!("parameter {name}: in force from now on")),
+                Err(problem) => self.log.error(&format!("parameter {name}: no effect: {problem}")),
             }
         }
     }
-}
 
-fn offer_reset(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<Service, NodeError> {
-    let mailbox = Arc::clone(mailbox);
-    let handle = move |_| {
-        mailbox.put_event(Event::Reset);
-        Ok(TriggerRes { success: true, message: "the next scan is the first one, at the initial pose".into() })
-    };
-    ros.service::<Trigger, _>(RESET, handle).map_err(|error| NodeError::ros(format!("offer the service '{RESET}'"), &error))
+    fn apply(&mut self, change: Change) -> Result<(), String> {
+        match change {
+            Change::Matching(change) => self.mailbox.put_event(Event::Change(change)),
+            Change::PublishTransform(on) => {
+                self.transform.switch(self.ros, on).map_err(|error| error.to_string())?;
+                self.transform.role().into_iter().for_each(|role| self.master.add(role));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Says that the node is ready, and what for.

@@ -32,7 +32,8 @@ pub(super) fn refused(node: &str, name: &str, problem: String) -> NodeError {
     NodeError::Parameters { node: node.into(), problem }
 }
 
-fn private_parameters(master: &Master, node: &str) -> Result<Value, NodeError> {
+/// The private parameters of `node` on the master as a tree.
+pub(super) fn private_parameters(master: &Master, node: &str) -> Result<Value, NodeError> {
     let failed = |error| NodeError::ros(format!("read the parameters of {node}"), &error);
     let exists = master.has_param(node).map_err(failed)?;
     let mut tree = if exists { master.get_param(node).map_err(failed)? } else { Value::Null };

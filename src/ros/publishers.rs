@@ -1,6 +1,7 @@
 //! What the node says.
 
 use std::marker::PhantomData;
+use std::sync::Arc;
 use std::time::Duration;
 
 use rosrust::api::Ros;
@@ -16,6 +17,7 @@ use super::NodeError;
 use super::convert::Answer;
 use super::master::Role;
 use super::path::PathHistory;
+use super::transform_output::TransformOutput;
 use crate::odometry::{MatchedPoints, Outcome};
 use crate::time::Stamp;
 
@@ -87,14 +89,15 @@ pub(super) struct Publishers {
     report: Output<MatchReport>,
     path: Output<Path>,
     debug: Output<Marker>,
-    transform: Option<Output<TFMessage>>,
+    transform: Arc<TransformOutput>,
     edge: i32,
     history: PathHistory,
     last_transform: Option<Stamp>,
 }
 
 impl Publishers {
-    pub(super) fn new(ros: &Ros, publish_tf: bool) -> Result<Self, NodeError> {
+    /// With the output of transforms, which comes and goes.
+    pub(super) fn new(ros: &Ros, transform: Arc<TransformOutput>) -> Result<Self, NodeError> {
         Ok(Self {
             pose: Output::new(ros, "scan_match_location")?,
             state: Output::new(ros, "icp_state")?,
@@ -102,7 +105,7 @@ impl Publishers {
             report: Output::new(ros, "icp_report")?,
             path: Output::new(ros, "icp/path")?.latched(),
             debug: Output::new(ros, "scan_match_debug")?,
-            transform: if publish_tf { Some(Output::new(ros, "/tf")?) } else { None },
+            transform,
             edge: 0,
             history: PathHistory::default(),
             last_transform: None,
@@ -113,7 +116,7 @@ impl Publishers {
     pub(super) fn roles(&self) -> Vec<Role> {
         let always =
             [self.pose.role(), self.state.role(), self.odometry.role(), self.report.role(), self.path.role(), self.debug.role()];
-        always.into_iter().chain(self.transform.as_ref().map(Output::role)).collect()
+        always.into_iter().chain(self.transform.role()).collect()
     }
 
     /// Whether anybody looks at matched points.
@@ -122,8 +125,8 @@ impl Publishers {
     }
 
     /// Ends the publication of transforms; whether there was any.
-    pub(super) fn withhold_transform(&mut self) -> bool {
-        self.transform.take().is_some()
+    pub(super) fn withhold_transform(&self) -> bool {
+        self.transform.withhold()
     }
 
     /// What the controller waits for: the pose, and the edge that says it is there.
@@ -143,10 +146,9 @@ impl Publishers {
     /// tf does not want a stamp twice, and a transform of the past would only say what an answer out of order repeats.
     fn publish_transform(&mut self, answer: &Answer) {
         let (stamp, outcome) = (answer.estimate.stamp, &answer.estimate.registration.outcome);
-        let Some(transform) = &self.transform else { return };
         if *outcome == Outcome::First || self.last_transform.is_none_or(|last| stamp > last) {
             self.last_transform = Some(stamp);
-            transform.send(|| TFMessage { transforms: vec![answer.transform()] });
+            self.transform.send(|| TFMessage { transforms: vec![answer.transform()] });
         }
     }
 

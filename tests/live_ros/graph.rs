@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 
 use anytime_scan_matcher::io::bag::{BagWriter, Compression};
 use anytime_scan_matcher::messages::Message;
+use anytime_scan_matcher::messages::std_msgs::Empty;
 use anytime_scan_matcher::time::Stamp;
 use serde::Serialize;
 use tempfile::TempDir;
@@ -120,6 +121,11 @@ impl Graph {
 
     /// A launch file of this package, with a target directory whose release build are the programs under test.
     pub fn launch(&self, file: &str, arguments: &[&str]) -> Process {
+        self.launch_with(file, arguments, &[])
+    }
+
+    /// The same, with more variables of the environment.
+    pub fn launch_with(&self, file: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Process {
         let release = self.dir.path().join("target/release");
         fs::create_dir_all(&release).unwrap();
         for program in PROGRAMS.map(Path::new) {
@@ -129,7 +135,8 @@ impl Graph {
             }
         }
         let mut command = self.command("roslaunch");
-        command.env("CARGO_TARGET_DIR", release.parent().unwrap()).args(["anytime_scan_matcher", file]).args(arguments);
+        command.env("CARGO_TARGET_DIR", release.parent().unwrap()).envs(variables.iter().copied());
+        command.args(["anytime_scan_matcher", file]).args(arguments);
         Process::spawn(command, self.dir.path())
     }
 
@@ -185,8 +192,10 @@ impl Graph {
         let bag = self.dir.path().join("said.bag");
         let mut writer = BagWriter::create(&bag, Compression::None).unwrap();
         writer.write(topic, Stamp::from_ros(1, 0), message).unwrap();
+        // Whoever says something stays until it has been heard.
+        writer.write("/said", Stamp::from_ros(2, 0), &Empty {}).unwrap();
         writer.finish().unwrap();
-        self.play(&bag, &[]);
+        self.play(&bag, &["--delay", "3"]);
     }
 
     pub fn start_playing(&self, bag: &Path, arguments: &[&str]) -> Process {
@@ -195,8 +204,15 @@ impl Graph {
         self.spawn("rosbag", &all)
     }
 
-    /// Calls a `std_srvs/Trigger`: its Python types need not be installed, so this speaks TCPROS by itself.
+    /// Calls a `std_srvs/Trigger` that succeeds; its message.
     pub fn trigger(&self, service: &str) -> String {
+        let (success, message) = self.call(service);
+        assert!(success, "{message}");
+        message
+    }
+
+    /// Calls a `std_srvs/Trigger`: its Python types need not be installed, so this speaks TCPROS by itself.
+    pub fn call(&self, service: &str) -> (bool, String) {
         let uri = self.output("rosservice", &["uri", service]);
         let mut stream = TcpStream::connect(uri.trim().strip_prefix("rosrpc://").unwrap()).unwrap();
         let field = |text: String| [u32::try_from(text.len()).unwrap().to_le_bytes().to_vec(), text.into_bytes()].concat();
@@ -221,8 +237,8 @@ impl Graph {
         let mut ok = [0];
         stream.read_exact(&mut ok).unwrap();
         let answer = block(&mut stream);
-        assert_eq!((ok[0], answer[0]), (1, 1), "the service failed");
-        String::from_utf8(answer[5..].to_vec()).unwrap()
+        assert_eq!(ok[0], 1, "the service failed");
+        (answer[0] == 1, String::from_utf8(answer[5..].to_vec()).unwrap())
     }
 }
 

@@ -10,6 +10,8 @@ mod graph;
 mod mounts;
 mod peer;
 mod racecar_sim;
+mod runtime;
+mod rviz;
 
 use std::fs;
 use std::path::Path;

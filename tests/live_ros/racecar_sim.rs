@@ -98,13 +98,13 @@ fn drive(graph: &Graph, use_odom: &str) -> Drive {
     launch.expect_log("simulates a racecar in corridor");
     launch.expect_log("by tf");
     let recorder = graph.record(&["/scan", "/odom", "/scan_match_location", "/icp_report", "/tf"]);
-    wait(3.0);
+    wait(1.0);
     let mut told = PoseWithCovarianceStamped::default();
     told.pose.pose = pose_message(CARRIED_TO[0]);
     graph.say("/initialpose", &told);
-    wait(3.0);
+    wait(1.0);
     graph.say("/pose", &PoseStamped { pose: pose_message(CARRIED_TO[1]), ..PoseStamped::default() });
-    wait(4.0);
+    wait(2.0);
     let drive = Drive::read(&graph.finish_recording(recorder));
     assert!(!launch.log().contains("held back"), "it has no transform to hold back: {}", launch.log());
     drive
