@@ -15,6 +15,7 @@ use crate::anytime::contract::{BOUND_SIGMAS, Contract, ContractError};
 use crate::anytime::cost_model::{CostModel, Phase};
 use crate::anytime::interrupt::{Interrupt, Never};
 use crate::anytime::{Driver, ErrorEstimate, Task};
+use crate::cloud;
 use crate::config::{Config, FrameKnobs};
 use crate::geometry::{Pose2, Twist2};
 use crate::io::cost_file::{self, CostFileError};
@@ -23,11 +24,12 @@ use crate::matching::IterationTrace;
 use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own;
-use crate::messages::sensor_msgs::{Imu, LaserScan};
+use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
+use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::WheelSample;
 use crate::odometry::{LaserOdometry, MatchedPoints, OdometryCounters, Registration};
-use crate::scan::ScanConverter;
+use crate::scan::{Scan, ScanConverter};
 use crate::time::Stamp;
 use crate::transforms::{Mount, TransformTree, frame_name};
 
@@ -209,16 +211,35 @@ impl App {
     /// Answers a scan that arrived when the clock read `arrival`. Always answers: for a scan that is unusable, with the prediction.
     /// [`Self::conclude`] is to follow.
     pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration) -> Estimate {
-        let stamp = message.header.stamp.into();
+        self.answer(&message.header, arrival, |app| {
+            app.converter.convert(message, app.mount.upside_down).map_err(|e| e.to_string())
+        })
+    }
+
+    /// Answers a point cloud as [`Self::on_scan`] does a scan.
+    pub fn on_cloud(&mut self, message: &PointCloud2, arrival: Duration) -> Estimate {
+        self.answer(&message.header, arrival, |app| {
+            cloud::scan(message, &app.config.cloud, app.mount.upside_down).map_err(|e| e.to_string())
+        })
+    }
+
+    fn answer(
+        &mut self,
+        header: &Header,
+        arrival: Duration,
+        convert: impl FnOnce(&mut Self) -> Result<Scan, String>,
+    ) -> Estimate {
+        let stamp = header.stamp.into();
         self.counters.scans += 1;
         let task = Task { contract: self.contract, arrival, taken_up: self.clock.now() };
-        self.update_mount(&message.header.frame_id);
+        self.update_mount(&header.frame_id);
+        let scan = convert(self);
         let mut driver = Driver::new(task, &*self.clock, &*self.interrupt, &mut self.costs);
-        let registration = match self.converter.convert(message, self.mount.upside_down) {
+        let registration = match scan {
             Ok(scan) => self.odometry.register(&scan, &self.mount.base_from_laser, &mut driver),
-            Err(error) => {
+            Err(problem) => {
                 self.counters.malformed_scans += 1;
-                self.odometry.answer_unusable(stamp, format!("malformed scan: {error}"))
+                self.odometry.answer_unusable(stamp, format!("malformed scan: {problem}"))
             }
         };
         let refined = driver.refined();

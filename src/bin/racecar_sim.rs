@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use anytime_scan_matcher::knobs::KnobGroup as _;
 use anytime_scan_matcher::ros::racecar_sim::{self, RacecarSimKnobs};
-use node_program::NodeProgram;
+use node_program::{NodeProgram, own_arguments};
 
 const USAGE: &str = "\
 Simulates a racecar with a laser, live, as F1TENTH's racecar_simulator does. A ROS 1 node; waits for the master when there is none.
@@ -21,5 +21,5 @@ Parameters, in the node's private namespace (~world):";
 
 fn main() -> ExitCode {
     let parameters = RacecarSimKnobs::default().table().into_iter().map(|knob| (knob.name.into(), knob)).collect();
-    NodeProgram { name: "racecar_sim", usage: USAGE, parameters, run: racecar_sim::run }.main()
+    NodeProgram { name: "racecar_sim", usage: USAGE, parameters, run: racecar_sim::run }.main(&own_arguments())
 }

@@ -20,7 +20,8 @@ use super::subscriptions::Input;
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Interrupt;
 use crate::app::{App, Estimate, MountSource};
-use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::geometry_msgs::TwistStamped;
+use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::tf2_msgs::TFMessage;
 use crate::messages::{Message, decode};
 use crate::odometry::Outcome;
@@ -36,6 +37,21 @@ struct NextScan<'a>(&'a Mailbox);
 impl Interrupt for NextScan<'_> {
     fn is_requested(&self) -> bool {
         self.0.has_scan()
+    }
+}
+
+/// What is matched.
+enum Sensed {
+    Scan(LaserScan),
+    Cloud(PointCloud2),
+}
+
+impl Sensed {
+    fn stamp(&self) -> Stamp {
+        match self {
+            Self::Scan(scan) => scan.header.stamp.into(),
+            Self::Cloud(cloud) => cloud.header.stamp.into(),
+        }
     }
 }
 
@@ -97,10 +113,10 @@ impl Matcher {
             }
             if let Some(letter) = scan {
                 self.interrupts.begin();
-                match self.read::<LaserScan>(Input::Scan, &letter) {
-                    Some(scan) => {
-                        self.await_odometry(scan.header.stamp.into(), letter.arrival);
-                        self.answer(&scan, letter.arrival, &mut urgency);
+                match self.read_sensed(&letter) {
+                    Some(sensed) => {
+                        self.await_odometry(sensed.stamp(), letter.arrival);
+                        self.answer(&sensed, letter.arrival, &mut urgency);
                     }
                     None => self.interrupts.abandon(),
                 }
@@ -109,6 +125,14 @@ impl Matcher {
         }
         if let Err(error) = self.app.store_costs() {
             self.log.warn(&error.to_string());
+        }
+    }
+
+    fn read_sensed(&mut self, letter: &Letter) -> Option<Sensed> {
+        if self.app.config().cloud.input {
+            self.read(Input::Cloud, letter).map(Sensed::Cloud)
+        } else {
+            self.read(Input::Scan, letter).map(Sensed::Scan)
         }
     }
 
@@ -133,10 +157,13 @@ impl Matcher {
             Event::Message(input, letter) => (input, letter),
         };
         let outcome = match input {
-            Input::Scan | Input::Interrupt => Ok(()), // no events
+            Input::Scan | Input::Cloud | Input::Interrupt => Ok(()), // no events
             Input::Odometry => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_odometry(&message)),
             Input::Imu => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_imu(&message)),
             Input::Velocity => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_velocity(&message)),
+            Input::StampedVelocity => {
+                self.read::<TwistStamped>(input, &letter).map_or(Ok(()), |message| self.app.on_velocity(&message.twist))
+            }
             Input::InitialPose => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_initial_pose(&message)),
             Input::Contract => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_contract(&message)),
             Input::Transforms | Input::StaticTransforms => self.read(input, &letter).map_or(Ok(()), |message| {
@@ -197,10 +224,13 @@ impl Matcher {
         }
     }
 
-    fn answer(&mut self, scan: &LaserScan, arrival: Duration, urgency: &mut Urgency) {
+    fn answer(&mut self, sensed: &Sensed, arrival: Duration, urgency: &mut Urgency) {
         urgency.set(self.app.contract().time_budget.is_some());
         self.app.set_keep_matched_points(self.publishers.wants_matched_points());
-        let mut estimate = self.app.on_scan(scan, arrival);
+        let mut estimate = match sensed {
+            Sensed::Scan(scan) => self.app.on_scan(scan, arrival),
+            Sensed::Cloud(cloud) => self.app.on_cloud(cloud, arrival),
+        };
         let number = self.publish_pose(&mut estimate);
         urgency.set(false);
         self.publish_details(&estimate, number);

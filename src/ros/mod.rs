@@ -9,6 +9,7 @@
 //! either answered or counted as dropped; messages leave with the stamp of the scan they are about; nothing waits on ROS time, which
 //! may stand still.
 
+mod compat;
 pub mod contract_demo;
 mod convert;
 mod diagnostics;
@@ -32,7 +33,7 @@ mod shutdown;
 mod subscriptions;
 mod transform_output;
 
-pub use node::run;
+pub use node::{run, run_as_laser_scan_matcher};
 
 use thiserror::Error;
 

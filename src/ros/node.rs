@@ -8,6 +8,7 @@ use rosrust::Subscriber;
 use rosrust::api::{Master, Ros};
 
 use super::NodeError;
+use super::compat::{self, Face};
 use super::diagnostics::{self, Diagnostics, Monitor};
 use super::interrupts::Interrupts;
 use super::live_params::{Change, ParameterWatch};
@@ -18,7 +19,7 @@ use super::matcher::{Links, Matcher};
 use super::publishers::Publishers;
 use super::services::Services;
 use super::shutdown::StopSignal;
-use super::subscriptions::{Input, subscribe};
+use super::subscriptions::subscribe;
 use super::transform_output::TransformOutput;
 use super::{params, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
@@ -33,13 +34,20 @@ const TICK: Duration = Duration::from_millis(100);
 /// Runs the node `scan_matcher` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
 /// parameters.
 pub fn run() -> Result<(), NodeError> {
-    shell::run(NAME, serve)
+    shell::run(NAME, |ros, master, stop| {
+        let config = params::read(master, ros.name())?;
+        Node::start(ros, master, &config, &Face::native(&config))?.supervise(stop);
+        Ok(())
+    })
 }
 
-fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
-    let config = params::read(master, ros.name())?;
-    Node::start(ros, master, &config)?.supervise(stop);
-    Ok(())
+/// The same with the parameters and the topics of `laser_scan_matcher`, in whose place it can be put.
+pub fn run_as_laser_scan_matcher() -> Result<(), NodeError> {
+    shell::run(NAME, |ros, master, stop| {
+        let (config, face) = compat::read(master, ros.name())?;
+        Node::start(ros, master, &config, &face)?.supervise(stop);
+        Ok(())
+    })
 }
 
 struct Node<'a> {
@@ -59,8 +67,11 @@ struct Node<'a> {
 }
 
 impl<'a> Node<'a> {
-    fn start(ros: &'a Ros, master: &'a Master, config: &Config) -> Result<Self, NodeError> {
+    fn start(ros: &'a Ros, master: &'a Master, config: &Config, face: &Face) -> Result<Self, NodeError> {
         let log = Log::new(ros)?;
+        if !face.ignored.is_empty() {
+            log.warn(&format!("these parameters mean nothing here and are ignored: {}", face.ignored.join(", ")));
+        }
         let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
         let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
         let interrupts = Arc::new(Interrupts::new(config.contract.shared_memory.as_deref())?);
@@ -69,10 +80,10 @@ impl<'a> Node<'a> {
         app.set_interrupt(Arc::clone(&interrupts) as Arc<_>);
         let transform = Arc::new(TransformOutput::default());
         transform.switch(ros, config.frames.publish_tf)?;
-        let publishers = Publishers::new(ros, Arc::clone(&transform))?;
+        let publishers = Publishers::new(ros, Arc::clone(&transform), face)?;
         let diagnostics = Diagnostics::new(ros)?;
         let mut roles = publishers.roles();
-        roles.extend(Input::ALL.map(|input| input.topic().role()));
+        roles.extend(face.inputs.iter().map(|input| input.topic().role()));
         roles.extend([diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
         let contract = app.contract();
 
@@ -90,8 +101,8 @@ impl<'a> Node<'a> {
             .name("matching".into())
             .spawn(|| matcher.run())
             .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
-        let subscribers = Input::ALL.map(|input| subscribe(ros, input, &mailbox, &interrupts, &clock, &log));
-        let subscribers = subscribers.into_iter().collect::<Result<_, _>>()?;
+        let subscribers = face.inputs.iter().map(|&input| subscribe(ros, input, &mailbox, &interrupts, &clock, &log));
+        let subscribers = subscribers.collect::<Result<_, _>>()?;
         services.offer(ros)?;
         let parameters = ParameterWatch::new(master, ros.name(), config)?;
         let master = MasterLink::new(ros, master, roles, &log)?;
@@ -163,7 +174,8 @@ impl<'a> Node<'a> {
 
 /// Says that the node is ready, and what for.
 fn announce(ros: &Ros, log: &Log, config: &Config, contract: &Contract) -> Result<(), NodeError> {
-    let [scan, odometry, pose] = ["scan", "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
+    let [scan, odometry, pose] =
+        [if config.cloud.input { "cloud" } else { "scan" }, "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
     let frames = &config.frames;
     log.info(&format!(
         "matches {} with {} to {} ({} -> {}{}), {}",

@@ -14,6 +14,7 @@ use rosrust_msg::tf2_msgs::TFMessage;
 use rosrust_msg::visualization_msgs::Marker;
 
 use super::NodeError;
+use super::compat::{Face, PoseOutputs};
 use super::convert::Answer;
 use super::master::Role;
 use super::path::PathHistory;
@@ -90,6 +91,8 @@ pub(super) struct Publishers {
     path: Output<Path>,
     debug: Output<Marker>,
     transform: Arc<TransformOutput>,
+    /// The topics of another node's face, if this one has it.
+    compat: Option<PoseOutputs>,
     edge: i32,
     history: PathHistory,
     last_transform: Option<Stamp>,
@@ -97,7 +100,7 @@ pub(super) struct Publishers {
 
 impl Publishers {
     /// With the output of transforms, which comes and goes.
-    pub(super) fn new(ros: &Ros, transform: Arc<TransformOutput>) -> Result<Self, NodeError> {
+    pub(super) fn new(ros: &Ros, transform: Arc<TransformOutput>, face: &Face) -> Result<Self, NodeError> {
         Ok(Self {
             pose: Output::new(ros, "scan_match_location")?,
             state: Output::new(ros, "icp_state")?,
@@ -106,6 +109,7 @@ impl Publishers {
             path: Output::new(ros, "icp/path")?.latched(),
             debug: Output::new(ros, "scan_match_debug")?,
             transform,
+            compat: face.poses.map(|wanted| PoseOutputs::new(ros, wanted)).transpose()?,
             edge: 0,
             history: PathHistory::default(),
             last_transform: None,
@@ -116,7 +120,7 @@ impl Publishers {
     pub(super) fn roles(&self) -> Vec<Role> {
         let always =
             [self.pose.role(), self.state.role(), self.odometry.role(), self.report.role(), self.path.role(), self.debug.role()];
-        always.into_iter().chain(self.transform.role()).collect()
+        always.into_iter().chain(self.transform.role()).chain(self.compat.iter().flat_map(PoseOutputs::roles)).collect()
     }
 
     /// Whether anybody looks at matched points.
@@ -132,6 +136,9 @@ impl Publishers {
     /// What the controller waits for: the pose, and the edge that says it is there.
     pub(super) fn publish_pose(&mut self, answer: &Answer) {
         self.pose.send(|| answer.pose_stamped());
+        if let Some(compat) = &self.compat {
+            compat.publish(answer);
+        }
         self.edge = 1 - self.edge;
         self.state.send(|| Int32 { data: self.edge });
     }

@@ -187,15 +187,15 @@ impl Graph {
         assert_eq!(player.exit_code(6 * PATIENCE), Some(0), "{}", player.log());
     }
 
-    /// Publishes one message.
+    /// Publishes one message, when links have had time to come about, and stays until it has been heard.
     pub fn say<T: Message + Serialize>(&self, topic: &str, message: &T) {
         let bag = self.dir.path().join("said.bag");
         let mut writer = BagWriter::create(&bag, Compression::None).unwrap();
-        writer.write(topic, Stamp::from_ros(1, 0), message).unwrap();
-        // Whoever says something stays until it has been heard.
-        writer.write("/said", Stamp::from_ros(2, 0), &Empty {}).unwrap();
+        writer.write("/said", Stamp::from_ros(1, 0), &Empty {}).unwrap();
+        writer.write(topic, Stamp::from_ros(4, 0), message).unwrap();
+        writer.write("/said", Stamp::from_ros(6, 0), &Empty {}).unwrap();
         writer.finish().unwrap();
-        self.play(&bag, &["--delay", "3"]);
+        self.play(&bag, &[]);
     }
 
     pub fn start_playing(&self, bag: &Path, arguments: &[&str]) -> Process {

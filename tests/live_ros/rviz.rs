@@ -1,4 +1,4 @@
-//! The picture that RViz makes of a match, on a screen in memory.
+//! The picture that `RViz` makes of a match, on a screen in memory.
 
 use std::fs::File;
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use crate::graph::{Graph, PACKAGE, Process, within};
 
-/// RViz needs half a gigabyte of libraries: it is not asked for where it is not there.
+/// `RViz` is not asked for where it is not there.
 fn is_there(program: &str) -> bool {
     let there =
         Command::new("sh").args(["-c", &format!("command -v {program}")]).stdout(Stdio::null()).status().unwrap().success();
