@@ -9,6 +9,7 @@ use std::path::Path;
 use thiserror::Error;
 
 use crate::anytime::contract::ContractKnobs;
+use crate::cloud::CloudKnobs;
 use crate::knobs::{KnobGroup, KnobInfo, Value, nearest_name};
 use crate::localization::LocalizationKnobs;
 use crate::localization::motion::MotionKnobs;
@@ -26,6 +27,8 @@ crate::knobs! {
         base_frame: String = "base_link".into();
         /// Publish the transform from `odom_frame` to `base_frame`; held back while another node publishes a parent of `base_frame`.
         publish_tf: bool = true;
+        /// Predict from what another node's transforms say of `base_frame` in this frame, rather than from anything else; unset: do not.
+        prediction_frame: Option<String> = None;
     }
 }
 
@@ -91,6 +94,8 @@ pub struct Config {
     pub matching: MatchingKnobs,
     /// `rejection.*`
     pub rejection: RejectionKnobs,
+    /// `cloud.*`
+    pub cloud: CloudKnobs,
     /// `localization.*`
     pub localization: LocalizationKnobs,
     /// `localization.motion.*`
@@ -100,13 +105,14 @@ pub struct Config {
 }
 
 impl Config {
-    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 8] {
+    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 9] {
         [
             ("", &self.frames),
             ("contract", &self.contract),
             ("odometry", &self.odometry),
             ("matching", &self.matching),
             ("rejection", &self.rejection),
+            ("cloud", &self.cloud),
             ("localization", &self.localization),
             ("localization.motion", &self.motion),
             ("localization.sensor", &self.sensor),
@@ -120,6 +126,7 @@ impl Config {
             "odometry" => Some(&mut self.odometry),
             "matching" => Some(&mut self.matching),
             "rejection" => Some(&mut self.rejection),
+            "cloud" => Some(&mut self.cloud),
             "localization" => Some(&mut self.localization),
             "localization.motion" => Some(&mut self.motion),
             "localization.sensor" => Some(&mut self.sensor),

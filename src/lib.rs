@@ -26,6 +26,7 @@
 //! | [`messages`] | ROS messages and their wire form, with or without ROS |
 //! | [`scan`], [`transforms`] | a checked scan; where `/tf` says the laser is |
 //! | `shared_memory` | on Linux: a controller on the same machine calls for the answer now and reads it, without ROS |
+//! | [`cloud`] | point clouds as scans |
 //! | [`matching`] | PL-ICP and its relatives: `begin()`, `refine()`, best so far |
 //! | [`simulation`] | worlds, a lidar, a car, its odometry |
 //! | [`evaluation`] | ATE, RPE, relations, plots |
@@ -52,6 +53,7 @@
 
 pub mod anytime;
 pub mod app;
+pub mod cloud;
 pub mod config;
 pub mod evaluation;
 pub mod geometry;

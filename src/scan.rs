@@ -103,6 +103,11 @@ impl BeamGeometry {
         Self { angle_min, angle_increment, directions, is_even: true }
     }
 
+    /// Beam `i` points in direction `i`, which is about `angle_min + i * angle_increment`, rad.
+    pub fn about(angle_min: f64, angle_increment: f64, directions: Vec<Point>) -> Self {
+        Self { angle_min, angle_increment, directions, is_even: false }
+    }
+
     /// Number of beams.
     pub fn len(&self) -> usize {
         self.directions.len()
@@ -222,7 +227,7 @@ impl Scan {
                 *direction = point / *range;
             }
         }
-        let beams = BeamGeometry { directions, is_even: false, ..*self.beams };
+        let beams = BeamGeometry::about(self.beams.angle_min, self.beams.angle_increment, directions);
         Self { stamp: self.stamp, beams: Arc::new(beams), ranges, valid: self.valid, time_increment: 0.0 }
     }
 

@@ -47,6 +47,19 @@ impl TransformTree {
         self.parents.get(frame_name(frame)).map(|(parent, _)| parent.as_str())
     }
 
+    /// Whether `frame` moves with `carrier`: it is that frame, or hangs from it, directly or through others.
+    pub fn carries(&self, carrier: &str, frame: &str) -> bool {
+        let (carrier, mut frame) = (frame_name(carrier), frame_name(frame));
+        for _ in 0..MAX_CHAIN {
+            if frame == carrier {
+                return true;
+            }
+            let Some(parent) = self.parent(frame) else { return false };
+            frame = parent;
+        }
+        false
+    }
+
     /// The place of `laser` on `base`, when the frames are connected.
     pub fn mount(&self, base: &str, laser: &str) -> Option<Mount> {
         let (base_root, root_from_base) = self.root(base)?;

@@ -11,10 +11,12 @@ use anytime_scan_matcher::app::{App, Estimate, InputError, MountSource};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::matching::StopReason;
-use anytime_scan_matcher::messages::geometry_msgs::{PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped};
+use anytime_scan_matcher::messages::geometry_msgs::{
+    PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped, Twist, Vector3,
+};
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::own::Contract;
-use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan};
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::odometry::Outcome;
 use anytime_scan_matcher::scan::{ScanConverter, ScanError};
@@ -160,6 +162,92 @@ fn odometry_is_interpolated_extrapolated_and_done_without() {
     assert!(guess_error(&[0.0, 0.1, 0.2, 0.4]) < 0.01, "interpolated");
     assert!(guess_error(&[-0.1, 0.0, 0.1]) < 0.01, "extrapolated");
     assert!(guess_error(&[]) > 0.05, "without odometry a first step of 0.6 m is no guess");
+}
+
+/// A robot at rest that turns all of a sudden.
+fn turn_at_once(seconds: f64) -> Pose2 {
+    Pose2::new(0.0, 0.0, if seconds < 0.1 { 0.0 } else { 0.35 })
+}
+
+fn imu_at(seconds: f64) -> Imu {
+    let mut message = Imu::default();
+    message.header.stamp = Stamp::from_seconds(START + seconds).into();
+    message.orientation = Quaternion::from_yaw(2.0 + turn_at_once(seconds).theta);
+    message
+}
+
+#[test]
+fn an_imu_foresees_turns() {
+    let error_of = |with_imu: bool| {
+        // One step of the classic kind shows where it started.
+        let mut app = app(&["matching.correspondence=jump_table", "matching.max_iterations=1"]);
+        for seconds in [0.0, 0.05, 0.1, 0.2] {
+            if with_imu {
+                app.on_imu(&imu_at(seconds)).unwrap();
+            }
+        }
+        answer(&mut app, &scan_at(0.0, turn_at_once(0.0)));
+        let registration = answer(&mut app, &scan_at(0.15, turn_at_once(0.15))).registration;
+        ((registration.odom_from_base.theta - 0.35).abs(), registration.predicted_error.rotation)
+    };
+    let ((with, told), (without, feared)) = (error_of(true), error_of(false));
+    assert!(with < 0.005 && without > 0.02, "{with} {without}");
+    assert!(told < 0.5 * feared, "{told} {feared}");
+}
+
+#[test]
+fn an_imu_on_its_head_turns_the_other_way_and_one_that_says_nothing_is_let_pass() {
+    let mut app = app(&["matching.correspondence=jump_table", "matching.max_iterations=1"]);
+    let mut transform = TransformStamped { child_frame_id: "imu".into(), ..TransformStamped::default() };
+    transform.header.frame_id = "base_link".into();
+    transform.transform.rotation.x = 1.0;
+    app.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
+    for i in 0..=20 {
+        let mut message = imu_at(f64::from(i) * 0.01);
+        message.orientation = Quaternion::default();
+        message.header.frame_id = "imu".into();
+        message.angular_velocity.z = -3.5;
+        app.on_imu(&message).unwrap();
+        app.on_imu(&Imu { header: message.header, ..Imu::default() }).unwrap();
+    }
+    answer(&mut app, &scan_at(0.0, Pose2::IDENTITY));
+    let registration = answer(&mut app, &scan_at(0.1, Pose2::new(0.0, 0.0, 0.35))).registration;
+    assert!((registration.odom_from_base.theta - 0.35).abs() < 0.005, "{registration:?}");
+    let mut spoilt = imu_at(0.3);
+    spoilt.angular_velocity.x = f64::INFINITY;
+    assert_eq!(app.on_imu(&spoilt), Err(InputError::VelocityNotFinite));
+    assert_eq!(app.counters().refused_messages, 1);
+}
+
+#[test]
+fn other_nodes_transforms_and_velocities_predict() {
+    let fast = |seconds: f64| Pose2::new(2.0 * seconds - 1.0, 0.0, 0.0);
+    let guess_error = |prepare: &dyn Fn(&mut App)| {
+        let settings = ["matching.correspondence=jump_table", "matching.max_iterations=1", "prediction_frame=wheels"];
+        let mut app = app(&settings);
+        answer(&mut app, &scan_at(0.0, fast(0.0)));
+        prepare(&mut app);
+        let estimate = answer(&mut app, &scan_at(0.3, fast(0.3)));
+        fast(0.0).between(&fast(0.3)).between(&estimate.registration.odom_from_base).distance()
+    };
+    let stamped = |seconds: f64, parent: &str, child: &str, pose: Pose2| {
+        let mut transform =
+            TransformStamped { child_frame_id: child.into(), transform: pose.into(), ..TransformStamped::default() };
+        transform.header.frame_id = parent.into();
+        transform.header.stamp = Stamp::from_seconds(START + seconds).into();
+        TFMessage { transforms: vec![transform] }
+    };
+    let by_transforms = |app: &mut App| {
+        app.on_transforms(&stamped(0.0, "footprint", "base_link", Pose2::new(0.1, 0.0, 0.0))).unwrap();
+        for i in 0..5 {
+            let seconds = f64::from(i) * 0.1;
+            app.on_transforms(&stamped(seconds, "/wheels", "/footprint", fast(seconds))).unwrap();
+        }
+    };
+    let by_velocity =
+        |app: &mut App| app.on_velocity(&Twist { linear: Vector3 { x: 2.0, ..Vector3::default() }, ..Twist::default() }).unwrap();
+    assert!(guess_error(&by_transforms) < 0.01 && guess_error(&by_velocity) < 0.01);
+    assert!(guess_error(&|_| ()) > 0.05, "without either a first step of 0.6 m is no guess");
 }
 
 #[test]

@@ -10,7 +10,7 @@ const LAYERS: [&[&str]; 12] = [
     &["knobs", "map"],
     &["messages", "raycasting"],
     &["scan", "transforms", "shared_memory"],
-    &["matching", "simulation", "evaluation"],
+    &["matching", "simulation", "evaluation", "cloud"],
     &["anytime"],
     &["odometry", "io"],
     &["localization"],

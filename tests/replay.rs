@@ -7,6 +7,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::io::bag::{BagWriter, Compression};
+use anytime_scan_matcher::messages::sensor_msgs::Imu;
+use anytime_scan_matcher::time::Stamp;
+use common::Laser;
 use serde_json::Value;
 
 fn anytime(arguments: &[&str]) -> Output {
@@ -164,6 +169,8 @@ fn bags_that_are_no_good_are_named_with_the_remedy() {
     assert!(wrong_type.contains("nav_msgs/Odometry") && wrong_type.contains("sensor_msgs/LaserScan"), "{wrong_type}");
     let no_odometry = failure(&["replay", "bags/demo.bag", "--odom-topic", "/wheels"], 1);
     assert!(no_odometry.contains("/wheels"), "{no_odometry}");
+    let no_imu = failure(&["replay", "bags/demo.bag", "--imu-topic", "/imu"], 1);
+    assert!(no_imu.contains("/imu") && no_imu.contains("sensor_msgs/Imu"), "{no_imu}");
     let typo = failure(&["replay", "bags/demo.bag", "--set", "matching.max_iteration=5"], 1);
     assert!(typo.contains("matching.max_iterations"), "{typo}");
     let no_truth = failure(&["replay", "bags/demo.bag", "--truth", "nowhere.tum"], 1);
@@ -172,6 +179,34 @@ fn bags_that_are_no_good_are_named_with_the_remedy() {
     assert!(no_folder.contains("no/such/folder.tum"), "{no_folder}");
     failure(&["replay"], 2);
     failure(&["replay", "bags/demo.bag", "--time-budget", "soon"], 2);
+}
+
+/// An IMU that says the robot turns, although it stands still: by one step of the classic kind the heading shows who was heard.
+#[test]
+fn the_bags_imu_predicts() {
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("imu.bag");
+    let at = |i: u32| Stamp::from_ros(1000, i * 50_000_000);
+    let mut writer = BagWriter::create(&bag, Compression::None).unwrap();
+    for i in 0..10 {
+        let mut imu = Imu::default();
+        imu.header.stamp = at(i).into();
+        imu.angular_velocity.z = if i == 5 { f64::NAN } else { 2.0 };
+        writer.write("/imu", at(i), &imu).unwrap();
+        writer.write("/scan", at(i), &Laser::with_field_of_view(270.0, 361).message(at(i), Pose2::IDENTITY)).unwrap();
+    }
+    writer.finish().unwrap();
+    let heading = |more: &[&str]| {
+        let tum = folder.path().join("out.tum");
+        let settings =
+            ["--set", "matching.correspondence=jump_table", "--set", "matching.max_iterations=1", "--set", "odometry.max_wait=0"];
+        let files = ["replay", bag.to_str().unwrap(), "--json", "--tum", tum.to_str().unwrap()];
+        let summary = json(&[&files[..], &settings, more].concat());
+        (numbers(&tum).last().unwrap()[6].abs(), summary["problems"].to_string())
+    };
+    let ((with, problems), (without, _)) = (heading(&["--imu-topic", "/imu"]), heading(&[]));
+    assert!(without < 1e-6 && with > 1e-6, "{without} {with}");
+    assert!(problems.contains("the velocity has numbers that are not finite"), "{problems}");
 }
 
 #[test]

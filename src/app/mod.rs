@@ -1,5 +1,6 @@
 //! The application: messages in, estimates out. The node and the offline tool both drive this, so that a replay is what ran live.
 
+mod heading;
 pub mod localizer;
 mod warm_up;
 
@@ -14,7 +15,8 @@ use crate::anytime::contract::{BOUND_SIGMAS, Contract, ContractError};
 use crate::anytime::cost_model::{CostModel, Phase};
 use crate::anytime::interrupt::{Interrupt, Never};
 use crate::anytime::{Driver, ErrorEstimate, Task};
-use crate::config::Config;
+use crate::cloud;
+use crate::config::{Config, FrameKnobs};
 use crate::geometry::{Pose2, Twist2};
 use crate::io::cost_file::{self, CostFileError};
 use crate::io::profile_file::{ExpectedError, Profile, ProfileFileError, VariantProfile};
@@ -22,11 +24,12 @@ use crate::matching::IterationTrace;
 use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own;
-use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
+use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::WheelSample;
 use crate::odometry::{LaserOdometry, MatchedPoints, OdometryCounters, Registration};
-use crate::scan::ScanConverter;
+use crate::scan::{Scan, ScanConverter};
 use crate::time::Stamp;
 use crate::transforms::{Mount, TransformTree, frame_name};
 
@@ -41,6 +44,9 @@ pub enum InputError {
     /// A pose holds NaN or infinities.
     #[error("the pose has numbers that are not finite")]
     PoseNotFinite,
+    /// An angular velocity or a velocity holds NaN or infinities.
+    #[error("the velocity has numbers that are not finite")]
+    VelocityNotFinite,
     /// A quaternion is no rotation.
     #[error("the orientation's quaternion has length {length:.3}: it must be normalised")]
     QuaternionNotNormalized {
@@ -205,16 +211,35 @@ impl App {
     /// Answers a scan that arrived when the clock read `arrival`. Always answers: for a scan that is unusable, with the prediction.
     /// [`Self::conclude`] is to follow.
     pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration) -> Estimate {
-        let stamp = message.header.stamp.into();
+        self.answer(&message.header, arrival, |app| {
+            app.converter.convert(message, app.mount.upside_down).map_err(|e| e.to_string())
+        })
+    }
+
+    /// Answers a point cloud as [`Self::on_scan`] does a scan.
+    pub fn on_cloud(&mut self, message: &PointCloud2, arrival: Duration) -> Estimate {
+        self.answer(&message.header, arrival, |app| {
+            cloud::scan(message, &app.config.cloud, app.mount.upside_down).map_err(|e| e.to_string())
+        })
+    }
+
+    fn answer(
+        &mut self,
+        header: &Header,
+        arrival: Duration,
+        convert: impl FnOnce(&mut Self) -> Result<Scan, String>,
+    ) -> Estimate {
+        let stamp = header.stamp.into();
         self.counters.scans += 1;
         let task = Task { contract: self.contract, arrival, taken_up: self.clock.now() };
-        self.update_mount(&message.header.frame_id);
+        self.update_mount(&header.frame_id);
+        let scan = convert(self);
         let mut driver = Driver::new(task, &*self.clock, &*self.interrupt, &mut self.costs);
-        let registration = match self.converter.convert(message, self.mount.upside_down) {
+        let registration = match scan {
             Ok(scan) => self.odometry.register(&scan, &self.mount.base_from_laser, &mut driver),
-            Err(error) => {
+            Err(problem) => {
                 self.counters.malformed_scans += 1;
-                self.odometry.answer_unusable(stamp, format!("malformed scan: {error}"))
+                self.odometry.answer_unusable(stamp, format!("malformed scan: {problem}"))
             }
         };
         let refined = driver.refined();
@@ -267,7 +292,36 @@ impl App {
     /// Takes transforms, static or not.
     pub fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
         let count = self.transforms.add(message);
+        self.predict_from(message);
         self.count_refused(if count == 0 { Ok(()) } else { Err(InputError::BadTransforms { count }) })
+    }
+
+    /// Where another node's transforms say the base is, if these are to predict.
+    fn predict_from(&mut self, message: &TFMessage) {
+        let FrameKnobs { prediction_frame: Some(frame), base_frame, .. } = &self.config.frames else { return };
+        let mut moved = message.transforms.iter().filter(|moved| self.transforms.carries(&moved.child_frame_id, base_frame));
+        if let (Some(moved), Some(place)) = (moved.next(), self.transforms.mount(frame, base_frame)) {
+            let stamp = moved.header.stamp.into();
+            self.odometry.add_transform_sample(WheelSample { stamp, pose: place.base_from_laser, twist: None });
+        }
+    }
+
+    /// Takes a reading of the IMU; one that says nothing (some simulators publish zeros) is let pass.
+    pub fn on_imu(&mut self, message: &Imu) -> Result<(), InputError> {
+        let mount = self.transforms.mount(&self.config.frames.base_frame, &message.header.frame_id);
+        let reading = heading::reading(message, mount.is_some_and(|mount| mount.upside_down));
+        if let Some(reading) = self.count_refused(reading)? {
+            self.odometry.add_heading(reading);
+        }
+        Ok(())
+    }
+
+    /// Takes the velocity of the base as it is now: the prediction where there is no odometry.
+    pub fn on_velocity(&mut self, message: &Twist) -> Result<(), InputError> {
+        let twist = Twist2 { vx: message.linear.x, vy: message.linear.y, omega: message.angular.z };
+        self.count_refused(if twist.is_finite() { Ok(()) } else { Err(InputError::VelocityNotFinite) })?;
+        self.odometry.set_velocity(twist);
+        Ok(())
     }
 
     /// Takes a contract; in force from the next scan on.
@@ -281,6 +335,11 @@ impl App {
     /// Another contract; in force from the next scan on.
     pub fn set_contract(&mut self, contract: Contract) {
         self.contract = contract;
+    }
+
+    /// Another limit of the iterations of one match; in force from the next scan on.
+    pub fn set_max_iterations(&mut self, limit: u32) {
+        self.odometry.set_max_iterations(limit);
     }
 
     /// Takes the pose of the base: the next scan is the first one, there.

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use anytime_scan_matcher::knobs::KnobGroup as _;
 use anytime_scan_matcher::ros::contract_demo::{self, ContractDemoKnobs};
-use node_program::NodeProgram;
+use node_program::{NodeProgram, own_arguments};
 
 const USAGE: &str = "\
 Gives the scan matcher its time contract by the robot's speed, short when it is fast, and logs how the contract is kept. A ROS 1 node;
@@ -22,5 +22,5 @@ Parameters, in the node's private namespace (~budget_fast):";
 
 fn main() -> ExitCode {
     let parameters = ContractDemoKnobs::default().table().into_iter().map(|knob| (knob.name.into(), knob)).collect();
-    NodeProgram { name: "contract_demo", usage: USAGE, parameters, run: contract_demo::run }.main()
+    NodeProgram { name: "contract_demo", usage: USAGE, parameters, run: contract_demo::run }.main(&own_arguments())
 }

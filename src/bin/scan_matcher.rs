@@ -7,20 +7,33 @@ use std::process::ExitCode;
 
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::ros;
-use node_program::NodeProgram;
+use node_program::{NodeProgram, own_arguments};
 
 const USAGE: &str = "\
 Matches laser scans and publishes where the robot is. A ROS 1 node; waits for the master when there is none.
 
-Usage: scan_matcher [TOPIC:=OTHER_TOPIC]... [_PARAMETER:=VALUE]... [__name:=NAME] [__ns:=NAMESPACE]
+Usage: scan_matcher [--compat laser_scan_matcher] [TOPIC:=OTHER_TOPIC]... [_PARAMETER:=VALUE]... [__name:=NAME] [__ns:=NAMESPACE]
 
-Subscribes to:  scan, odom, icp_contract, icp_interrupt, initialpose, /tf, /tf_static
+With --compat it takes the parameters of laser_scan_matcher and has its topics too: pose2D, pose_stamped, pose_with_covariance,
+pose_with_covariance_stamped.
+
+Subscribes to:  scan or cloud, odom, imu/data, vel, icp_contract, icp_interrupt, initialpose, /tf, /tf_static
 Publishes:      scan_match_location, icp_state, icp/odom, icp_report, icp/path, scan_match_debug, /tf, /diagnostics
 Service:        ~reset
 
 Parameters, in the node's private namespace (~matching/max_iterations), or in the YAML file that ~config names:";
 
+/// Puts the node in the place of another one.
+const COMPAT: [&str; 2] = ["--compat", "laser_scan_matcher"];
+
 fn main() -> ExitCode {
     let parameters = Config::default().table();
-    NodeProgram { name: "scan_matcher", usage: USAGE, parameters, run: ros::run }.main()
+    let mut arguments = own_arguments();
+    let run = if arguments.starts_with(&COMPAT.map(String::from)) {
+        arguments.drain(..COMPAT.len());
+        ros::run_as_laser_scan_matcher
+    } else {
+        ros::run
+    };
+    NodeProgram { name: "scan_matcher", usage: USAGE, parameters, run }.main(&arguments)
 }

@@ -188,6 +188,12 @@ pub struct Matcher {
 }
 
 impl Matcher {
+    /// Another limit of the iterations of one match.
+    pub fn set_max_iterations(&mut self, limit: u32) {
+        self.knobs.max_iterations = limit;
+        self.trace = Vec::with_capacity(STAGES * limit as usize); // no match allocates
+    }
+
     /// A matcher with these knobs.
     pub fn new(knobs: &MatchingKnobs, rejection: &RejectionKnobs) -> Self {
         let noise = knobs.range_noise;

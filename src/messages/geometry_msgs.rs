@@ -124,6 +124,33 @@ pub struct Twist {
     pub angular: Vector3,
 }
 
+impl Message for Twist {
+    const TYPE: &'static str = "geometry_msgs/Twist";
+    const MD5: &'static str = "9f195f881246fdfa2798d1d3eebca84a";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("geometry_msgs/Twist", include_str!("../../msg/geometry_msgs/msg/Twist.msg")),
+        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
+    ];
+}
+
+/// `geometry_msgs/TwistStamped`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TwistStamped {
+    pub header: super::std_msgs::Header,
+    pub twist: Twist,
+}
+
+impl Message for TwistStamped {
+    const TYPE: &'static str = "geometry_msgs/TwistStamped";
+    const MD5: &'static str = "98d34b0043a2093cf9d9345ab6eef12e";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("geometry_msgs/TwistStamped", include_str!("../../msg/geometry_msgs/msg/TwistStamped.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/Twist", include_str!("../../msg/geometry_msgs/msg/Twist.msg")),
+        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
+    ];
+}
+
 /// `geometry_msgs/TwistWithCovariance`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TwistWithCovariance {

@@ -3,6 +3,7 @@
 //! One set of types serves bags and live connections alike, with or without the `ros` feature, so that both go through the same
 //! length-checked decoder. Field names are those of the definitions under `msg/`.
 
+pub mod ackermann_msgs;
 pub mod geometry_msgs;
 pub mod nav_msgs;
 pub mod own;

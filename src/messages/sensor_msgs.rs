@@ -29,3 +29,64 @@ impl Message for LaserScan {
         ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
     ];
 }
+
+/// `sensor_msgs/Imu`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Imu {
+    pub header: super::std_msgs::Header,
+    pub orientation: super::geometry_msgs::Quaternion,
+    pub orientation_covariance: [f64; 9],
+    pub angular_velocity: super::geometry_msgs::Vector3,
+    pub angular_velocity_covariance: [f64; 9],
+    pub linear_acceleration: super::geometry_msgs::Vector3,
+    pub linear_acceleration_covariance: [f64; 9],
+}
+
+impl Message for Imu {
+    const TYPE: &'static str = "sensor_msgs/Imu";
+    const MD5: &'static str = "6a62c6daae103f4ff57a132d6f95cec2";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("sensor_msgs/Imu", include_str!("../../msg/sensor_msgs/msg/Imu.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
+    ];
+}
+
+/// `sensor_msgs/PointField`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PointField {
+    pub name: String,
+    pub offset: u32,
+    pub datatype: u8,
+    pub count: u32,
+}
+
+impl PointField {
+    pub const FLOAT32: u8 = 7;
+    pub const FLOAT64: u8 = 8;
+}
+
+/// `sensor_msgs/PointCloud2`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PointCloud2 {
+    pub header: super::std_msgs::Header,
+    pub height: u32,
+    pub width: u32,
+    pub fields: Vec<PointField>,
+    pub is_bigendian: bool,
+    pub point_step: u32,
+    pub row_step: u32,
+    pub data: Vec<u8>,
+    pub is_dense: bool,
+}
+
+impl Message for PointCloud2 {
+    const TYPE: &'static str = "sensor_msgs/PointCloud2";
+    const MD5: &'static str = "1158d486dd51d683ce2f1be655c3c181";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("sensor_msgs/PointCloud2", include_str!("../../msg/sensor_msgs/msg/PointCloud2.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("sensor_msgs/PointField", include_str!("../../msg/sensor_msgs/msg/PointField.msg")),
+    ];
+}

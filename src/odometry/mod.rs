@@ -3,7 +3,9 @@
 //! [`LaserOdometry::register`] is the whole of it. Frames: `odom` is where the poses are given, `base` is the robot, `laser` the
 //! sensor, and the keyframe is the reference scan's laser.
 
+pub mod heading;
 mod local_map;
+pub mod sources;
 pub mod uncertainty;
 pub mod wheel;
 
@@ -16,8 +18,10 @@ use crate::matching::{
 };
 use crate::scan::Scan;
 use crate::time::Stamp;
+use heading::HeadingReading;
 use local_map::{Keyframe, LocalMap, Placement};
-use wheel::{WheelEvent, WheelOdometry, WheelSample};
+use sources::MotionSources;
+use wheel::{WheelEvent, WheelSample};
 
 /// Stamps that go back farther than this start a new run (a bag played in a loop); less is a scan out of order, s.
 const NEW_RUN: f64 = 1.0;
@@ -182,7 +186,7 @@ struct Last {
 pub struct LaserOdometry {
     knobs: OdometryKnobs,
     matcher: Matcher,
-    wheels: WheelOdometry,
+    wheels: MotionSources,
     /// A scan was answered before the odometry had come for it: it may have died, none is waited for until it is back.
     waited_in_vain: bool,
     map: LocalMap,
@@ -206,7 +210,7 @@ impl LaserOdometry {
         Self {
             knobs: knobs.clone(),
             matcher: Matcher::new(matching, rejection),
-            wheels: WheelOdometry::default(),
+            wheels: MotionSources::default(),
             waited_in_vain: false,
             map: LocalMap::default(),
             views: Vec::new(),
@@ -243,6 +247,11 @@ impl LaserOdometry {
         &self.iterations
     }
 
+    /// Another limit of the iterations of one match.
+    pub fn set_max_iterations(&mut self, limit: u32) {
+        self.matcher.set_max_iterations(limit);
+    }
+
     /// Starts again: the next scan is the first one, at `odom_from_base`.
     pub fn restart_at(&mut self, odom_from_base: Pose2) {
         self.forget_reference();
@@ -272,6 +281,25 @@ impl LaserOdometry {
             WheelEvent::Appended | WheelEvent::TimeJump => {}
             WheelEvent::Duplicate => self.counters.duplicate_odometry += 1,
             WheelEvent::Reset => self.counters.odometry_resets += 1,
+        }
+    }
+
+    /// Takes a reading of the IMU.
+    pub fn add_heading(&mut self, reading: HeadingReading) {
+        self.waited_in_vain = false;
+        self.wheels.push_heading(reading);
+    }
+
+    /// Takes where another node's transforms say the base is.
+    pub fn add_transform_sample(&mut self, sample: WheelSample) {
+        self.waited_in_vain = false;
+        self.wheels.push_transform(sample);
+    }
+
+    /// Takes the velocity of the base as it is now.
+    pub fn set_velocity(&mut self, twist: Twist2) {
+        if let Some(last) = self.last {
+            self.wheels.set_velocity(last.stamp, twist);
         }
     }
 
@@ -520,16 +548,19 @@ impl LaserOdometry {
         }
     }
 
-    /// The motion of the base since the last answer: by the wheels, else at constant velocity.
+    /// The motion of the base since the last answer: by what says so, else at constant velocity.
     fn predict(&mut self, last: &Last, stamp: Stamp) -> Prediction {
         self.waited_in_vain = self.wheels.is_behind(stamp);
-        if let Some(motion) = self.wheels.motion(last.stamp, stamp) {
-            return Prediction { motion, covariance: uncertainty::of_wheels(&motion) };
-        }
-        self.counters.without_odometry += 1;
-        let seconds = stamp.seconds_since(last.stamp);
-        let motion = if seconds <= MAX_PREDICTION_GAP { last.twist.motion(seconds) } else { Pose2::IDENTITY };
-        Prediction { motion, covariance: uncertainty::of_constant_velocity(seconds) }
+        let (motion, covariance) = if let Some(motion) = self.wheels.motion(last.stamp, stamp) {
+            (motion, uncertainty::of_wheels(&motion))
+        } else {
+            self.counters.without_odometry += 1;
+            let seconds = stamp.seconds_since(last.stamp);
+            let motion = if seconds <= MAX_PREDICTION_GAP { last.twist.motion(seconds) } else { Pose2::IDENTITY };
+            (motion, uncertainty::of_constant_velocity(seconds))
+        };
+        let (motion, covariance) = self.wheels.with_heading(motion, covariance, last.stamp, stamp);
+        Prediction { motion, covariance }
     }
 
     fn conclude(&mut self, scan: &Scan, base_from_laser: &Pose2, answer: Answer, becomes_keyframe: bool) -> Registration {

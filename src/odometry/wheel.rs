@@ -72,6 +72,12 @@ impl WheelOdometry {
         self.samples.back().is_some_and(|last| stamp.seconds_since(last.stamp) > GOOD_EXTRAPOLATION)
     }
 
+    /// Whether messages come, and the one that says where the base is at `stamp` has yet to.
+    pub fn is_due(&self, stamp: Stamp) -> bool {
+        let fresh = self.samples.back().is_some_and(|last| stamp.seconds_since(last.stamp) <= MAX_EXTRAPOLATION);
+        fresh && self.is_behind(stamp)
+    }
+
     /// The motion of the base from one time to another, seen from the first; `None` where the messages do not cover it.
     pub fn motion(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
         Some(self.pose_at(from)?.between(&self.pose_at(to)?))

@@ -15,10 +15,10 @@ use crate::app::localizer::Localizer;
 use crate::app::{App, Estimate, InputError};
 use crate::io::bag::{Bag, BagError, BagMessage};
 use crate::io::contract_schedule::ContractSchedule;
-use crate::messages::header_stamp;
 use crate::messages::nav_msgs::Odometry;
-use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::sensor_msgs::{Imu, LaserScan};
 use crate::messages::tf2_msgs::TFMessage;
+use crate::messages::{Message, header_stamp};
 use crate::time::Stamp;
 
 /// Where transforms are published.
@@ -31,25 +31,34 @@ pub struct Topics {
     pub scan: String,
     /// Wheel odometry; `None`: do without.
     pub odometry: Option<String>,
+    /// An IMU; `None`: do without.
+    pub imu: Option<String>,
 }
 
 impl Topics {
     /// The topics asked for, as far as the bag has them. Without an explicit wish, odometry is optional.
     pub fn resolve(bag: &Bag, scan: &str, odometry: Option<&str>) -> Result<Self, BagError> {
         bag.expect_topic::<LaserScan>(scan)?;
-        let odometry = match odometry {
-            Some(topic) => {
-                bag.expect_topic::<Odometry>(topic)?;
-                Some(topic.to_owned())
-            }
-            None => bag.topics_of::<Odometry>().contains(&"/odom").then(|| "/odom".to_owned()),
-        };
-        Ok(Self { scan: scan.into(), odometry })
+        Ok(Self { scan: scan.into(), odometry: optional::<Odometry>(bag, odometry, "/odom")?, imu: None })
+    }
+
+    /// The same, and an IMU: the one asked for, or the usual one.
+    pub fn with_imu(self, bag: &Bag, imu: Option<&str>) -> Result<Self, BagError> {
+        Ok(Self { imu: optional::<Imu>(bag, imu, "/imu/data")?, ..self })
     }
 
     /// Every topic that is read.
     pub fn all(&self) -> Vec<&str> {
-        [self.scan.as_str()].into_iter().chain(self.odometry.as_deref()).chain(TRANSFORM_TOPICS).collect()
+        let optional = self.odometry.as_deref().into_iter().chain(self.imu.as_deref());
+        [self.scan.as_str()].into_iter().chain(optional).chain(TRANSFORM_TOPICS).collect()
+    }
+}
+
+/// The topic asked for, which must be there, or else the usual one, which may be.
+fn optional<T: Message>(bag: &Bag, wanted: Option<&str>, usual: &str) -> Result<Option<String>, BagError> {
+    match wanted {
+        Some(topic) => bag.expect_topic::<T>(topic).map(|()| Some(topic.to_owned())),
+        None => Ok(bag.topics_of::<T>().contains(&usual).then(|| usual.to_owned())),
     }
 }
 
@@ -118,12 +127,15 @@ pub fn replay<E: From<BagError>>(
 trait Listener {
     fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError>;
     fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError>;
+    fn on_imu(&mut self, _: &Imu) -> Result<(), InputError> {
+        Ok(())
+    }
     /// How long to hold back a scan for odometry that it needs.
     fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration>;
 }
 
 macro_rules! listener {
-    ($kind:ty) => {
+    ($kind:ty $(, $method:ident: $message:ty)?) => {
         impl Listener for $kind {
             fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
                 Self::on_odometry(self, message)
@@ -134,11 +146,14 @@ macro_rules! listener {
             fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
                 Self::wait_for_odometry(self, stamp)
             }
+            $(fn $method(&mut self, message: &$message) -> Result<(), InputError> {
+                Self::$method(self, message)
+            })?
         }
     };
 }
 
-listener!(App);
+listener!(App, on_imu: Imu);
 listener!(Localizer);
 
 /// Hands the messages of a bag to a listener in their order, and its scans to `answer`, each when the odometry for it has come, or
@@ -204,6 +219,9 @@ fn take(listener: &mut impl Listener, topics: &Topics, message: &BagMessage) -> 
     if topics.odometry.as_deref() == Some(topic) {
         let odometry = message.decode().map_err(|e| e.to_string())?;
         listener.on_odometry(&odometry).map_err(|e| in_words(&e))
+    } else if topics.imu.as_deref() == Some(topic) {
+        let imu = message.decode().map_err(|e| e.to_string())?;
+        listener.on_imu(&imu).map_err(|e| in_words(&e))
     } else {
         let transforms: TFMessage = message.decode().map_err(|e| e.to_string())?;
         listener.on_transforms(&transforms).map_err(|e| in_words(&e))

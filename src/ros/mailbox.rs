@@ -6,6 +6,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::inlet::Letter;
+use super::live_params::MatchingChange;
 use super::subscriptions::Input;
 
 /// Events that may wait: four seconds of odometry at 1 kHz. A match that takes longer loses the oldest.
@@ -20,13 +21,17 @@ pub(super) enum Event {
     Message(Input, Letter),
     /// A call of the service `reset`.
     Reset,
+    /// A call of the service `save_profile`.
+    SaveProfile,
+    /// A parameter was changed.
+    Change(MatchingChange),
 }
 
 impl Event {
     fn bytes(&self) -> usize {
         match self {
             Self::Message(_, letter) => letter.bytes.len(),
-            Self::Reset => 0,
+            Self::Reset | Self::SaveProfile | Self::Change(_) => 0,
         }
     }
 }

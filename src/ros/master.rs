@@ -1,5 +1,6 @@
 //! The ROS master: waiting for it, and what to do when it goes away and comes back.
 
+use std::collections::HashSet;
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros, resolve};
@@ -100,6 +101,14 @@ impl<'a> MasterLink<'a> {
         let ports = link.roles.iter().filter_map(|role| role.port(ros).transpose());
         sockets::tune(&ports.collect::<Result<_, _>>()?);
         Ok(link)
+    }
+
+    /// From now on it has this role too.
+    pub(super) fn add(&mut self, role: Role) {
+        if let Ok(Some(port)) = role.port(self.ros) {
+            sockets::tune(&HashSet::from([port]));
+        }
+        self.roles.push(role);
     }
 
     /// Whether the master answered when it was last asked.

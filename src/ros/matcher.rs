@@ -1,6 +1,7 @@
 //! The matching thread: empties the mailbox, drives the application and publishes its answers.
 
 use std::sync::Arc;
+use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 use serde::Deserialize;
@@ -9,15 +10,18 @@ use super::convert::Answer;
 use super::diagnostics::Monitor;
 use super::inlet::Letter;
 use super::interrupts::{Interrupts, LOOK};
+use super::live_params::MatchingChange;
 use super::log::{Log, Throttle};
 use super::mailbox::{Event, Mailbox, Work};
 use super::priority::Urgency;
 use super::publishers::Publishers;
+use super::services::Reply;
 use super::subscriptions::Input;
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Interrupt;
 use crate::app::{App, Estimate, MountSource};
-use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::geometry_msgs::TwistStamped;
+use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::tf2_msgs::TFMessage;
 use crate::messages::{Message, decode};
 use crate::odometry::Outcome;
@@ -36,6 +40,32 @@ impl Interrupt for NextScan<'_> {
     }
 }
 
+/// What is matched.
+enum Sensed {
+    Scan(LaserScan),
+    Cloud(PointCloud2),
+}
+
+impl Sensed {
+    fn stamp(&self) -> Stamp {
+        match self {
+            Self::Scan(scan) => scan.header.stamp.into(),
+            Self::Cloud(cloud) => cloud.header.stamp.into(),
+        }
+    }
+}
+
+/// What the matching thread shares with the rest of the node.
+pub(super) struct Shared {
+    pub(super) mailbox: Arc<Mailbox>,
+    pub(super) interrupts: Arc<Interrupts>,
+    pub(super) clock: Arc<dyn Clock>,
+    pub(super) monitor: Arc<Monitor>,
+    /// Takes what came of calls of services.
+    pub(super) replies: Sender<Reply>,
+    pub(super) log: Log,
+}
+
 /// Everything the matching thread owns.
 pub(super) struct Matcher {
     app: App,
@@ -44,6 +74,7 @@ pub(super) struct Matcher {
     interrupts: Arc<Interrupts>,
     clock: Arc<dyn Clock>,
     monitor: Arc<Monitor>,
+    replies: Sender<Reply>,
     log: Log,
     throttle: Throttle,
     mount_told: Option<MountSource>,
@@ -51,15 +82,9 @@ pub(super) struct Matcher {
 }
 
 impl Matcher {
-    pub(super) fn new(
-        app: App,
-        publishers: Publishers,
-        mailbox: Arc<Mailbox>,
-        interrupts: Arc<Interrupts>,
-        clock: Arc<dyn Clock>,
-        monitor: Arc<Monitor>,
-        log: Log,
-    ) -> Self {
+    /// `shared`: what it shares with the rest of the node.
+    pub(super) fn new(app: App, publishers: Publishers, shared: Shared) -> Self {
+        let Shared { mailbox, interrupts, clock, monitor, replies, log } = shared;
         Self {
             app,
             publishers,
@@ -67,6 +92,7 @@ impl Matcher {
             interrupts,
             clock,
             monitor,
+            replies,
             log,
             throttle: Throttle::default(),
             mount_told: None,
@@ -87,10 +113,10 @@ impl Matcher {
             }
             if let Some(letter) = scan {
                 self.interrupts.begin();
-                match self.read::<LaserScan>(Input::Scan, &letter) {
-                    Some(scan) => {
-                        self.await_odometry(scan.header.stamp.into(), letter.arrival);
-                        self.answer(&scan, letter.arrival, &mut urgency);
+                match self.read_sensed(&letter) {
+                    Some(sensed) => {
+                        self.await_odometry(sensed.stamp(), letter.arrival);
+                        self.answer(&sensed, letter.arrival, &mut urgency);
                     }
                     None => self.interrupts.abandon(),
                 }
@@ -99,6 +125,14 @@ impl Matcher {
         }
         if let Err(error) = self.app.store_costs() {
             self.log.warn(&error.to_string());
+        }
+    }
+
+    fn read_sensed(&mut self, letter: &Letter) -> Option<Sensed> {
+        if self.app.config().cloud.input {
+            self.read(Input::Cloud, letter).map(Sensed::Cloud)
+        } else {
+            self.read(Input::Scan, letter).map(Sensed::Scan)
         }
     }
 
@@ -118,11 +152,18 @@ impl Matcher {
     fn handle(&mut self, event: Event) {
         let (input, letter) = match event {
             Event::Reset => return self.app.reset(),
+            Event::SaveProfile => return self.save_profile(),
+            Event::Change(change) => return self.apply(change),
             Event::Message(input, letter) => (input, letter),
         };
         let outcome = match input {
-            Input::Scan | Input::Interrupt => Ok(()), // no events
+            Input::Scan | Input::Cloud | Input::Interrupt => Ok(()), // no events
             Input::Odometry => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_odometry(&message)),
+            Input::Imu => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_imu(&message)),
+            Input::Velocity => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_velocity(&message)),
+            Input::StampedVelocity => {
+                self.read::<TwistStamped>(input, &letter).map_or(Ok(()), |message| self.app.on_velocity(&message.twist))
+            }
             Input::InitialPose => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_initial_pose(&message)),
             Input::Contract => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_contract(&message)),
             Input::Transforms | Input::StaticTransforms => self.read(input, &letter).map_or(Ok(()), |message| {
@@ -132,6 +173,24 @@ impl Matcher {
         };
         if let Err(error) = outcome {
             self.refuse(input, &letter.sender, &error);
+        }
+    }
+
+    fn save_profile(&mut self) {
+        let outcome = match &self.app.config().contract.cost_file {
+            None => Err("there is no file to save to: set the parameter contract/cost_file and start the node again".into()),
+            Some(path) => {
+                let done = format!("what matching costs on this machine is in {path}");
+                self.app.store_costs().map(|()| done).map_err(|error| error.to_string())
+            }
+        };
+        let _ = self.replies.send(outcome); // nobody waits any more when the node is ending
+    }
+
+    fn apply(&mut self, change: MatchingChange) {
+        match change {
+            MatchingChange::Contract(contract) => self.app.set_contract(contract),
+            MatchingChange::MaxIterations(limit) => self.app.set_max_iterations(limit),
         }
     }
 
@@ -165,10 +224,13 @@ impl Matcher {
         }
     }
 
-    fn answer(&mut self, scan: &LaserScan, arrival: Duration, urgency: &mut Urgency) {
+    fn answer(&mut self, sensed: &Sensed, arrival: Duration, urgency: &mut Urgency) {
         urgency.set(self.app.contract().time_budget.is_some());
         self.app.set_keep_matched_points(self.publishers.wants_matched_points());
-        let mut estimate = self.app.on_scan(scan, arrival);
+        let mut estimate = match sensed {
+            Sensed::Scan(scan) => self.app.on_scan(scan, arrival),
+            Sensed::Cloud(cloud) => self.app.on_cloud(cloud, arrival),
+        };
         let number = self.publish_pose(&mut estimate);
         urgency.set(false);
         self.publish_details(&estimate, number);

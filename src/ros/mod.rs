@@ -1,4 +1,4 @@
-//! The ROS 1 nodes: the one around [`App`](crate::app::App), and a controller for it. Nothing else in this project knows of rosrust.
+//! The ROS 1 nodes: the one around [`App`](crate::app::App), a controller for it, and a simulator. Nothing else in this project knows of rosrust.
 //!
 //! ```text
 //!  threads of links           matching thread               main thread
@@ -9,6 +9,7 @@
 //! either answered or counted as dropped; messages leave with the stamp of the scan they are about; nothing waits on ROS time, which
 //! may stand still.
 
+mod compat;
 pub mod contract_demo;
 mod convert;
 mod diagnostics;
@@ -16,29 +17,36 @@ mod feed;
 mod inlet;
 mod interrupts;
 mod links;
+mod live_params;
 mod log;
 mod mailbox;
 mod master;
 mod matcher;
 mod node;
+mod outlet;
 mod params;
 mod path;
 mod priority;
 mod publishers;
+pub mod racecar_sim;
+mod services;
 mod shell;
 mod shutdown;
 mod sockets;
 mod subscriptions;
 mod tcpros;
+mod transform_output;
 
-pub use node::run;
+pub use node::{run, run_as_laser_scan_matcher};
 
 use thiserror::Error;
 
 use crate::anytime::contract::ContractError;
 use crate::app::StartError;
 use crate::config::ConfigError;
+use crate::io::map_file::MapError;
 use crate::shared_memory::SharedMemoryError;
+use crate::simulation::planner::NoLoop;
 
 /// Why the node cannot run.
 #[derive(Debug, Error)]
@@ -60,6 +68,12 @@ pub enum NodeError {
     /// The shared memory cannot be had.
     #[error(transparent)]
     SharedMemory(#[from] SharedMemoryError),
+    /// The map cannot be used.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// There is no way to drive on and on in the world.
+    #[error(transparent)]
+    Route(#[from] NoLoop),
     /// A file of comma-separated values cannot be written.
     #[error("cannot write {problem}")]
     Csv {

@@ -4,21 +4,23 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
-use rosrust::Service;
 use rosrust::api::{Master, Ros};
-use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
+use super::compat::{self, Face};
 use super::diagnostics::{self, Diagnostics, Monitor};
 use super::interrupts::Interrupts;
 use super::links::Links;
+use super::live_params::{Change, ParameterWatch};
 use super::log::{Log, ROSOUT};
 use super::mailbox::{Event, Mailbox};
 use super::master::{MasterLink, Role, resolved};
-use super::matcher::Matcher;
+use super::matcher::{Matcher, Shared};
 use super::publishers::Publishers;
+use super::services::Services;
 use super::shutdown::StopSignal;
-use super::subscriptions::{Input, subscribe};
+use super::subscriptions::subscribe;
+use super::transform_output::TransformOutput;
 use super::{params, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
@@ -26,20 +28,26 @@ use crate::app::App;
 use crate::config::Config;
 
 const NAME: &str = "scan_matcher";
-const RESET: &str = "~reset";
 /// How often the node looks whether it is to stop.
 const TICK: Duration = Duration::from_millis(100);
 
 /// Runs the node `scan_matcher` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
 /// parameters.
 pub fn run() -> Result<(), NodeError> {
-    shell::run(NAME, serve)
+    shell::run(NAME, |ros, master, stop| {
+        let config = params::read(master, ros.name())?;
+        Node::start(ros, master, &config, &Face::native(&config))?.supervise(stop);
+        Ok(())
+    })
 }
 
-fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
-    let config = params::read(master, ros.name())?;
-    Node::start(ros, master, &config)?.supervise(stop);
-    Ok(())
+/// The same with the parameters and the topics of `laser_scan_matcher`, in whose place it can be put.
+pub fn run_as_laser_scan_matcher() -> Result<(), NodeError> {
+    shell::run(NAME, |ros, master, stop| {
+        let (config, face) = compat::read(master, ros.name())?;
+        Node::start(ros, master, &config, &face)?.supervise(stop);
+        Ok(())
+    })
 }
 
 struct Node<'a> {
@@ -51,39 +59,69 @@ struct Node<'a> {
     master: MasterLink<'a>,
     matching: thread::JoinHandle<()>,
     links: Links<'a>,
-    // Dropping it ends it.
-    _reset: Service,
+    log: Log,
+    parameters: ParameterWatch<'a>,
+    transform: Arc<TransformOutput>,
+    // Dropping it ends them.
+    _services: Services,
 }
 
 impl<'a> Node<'a> {
-    fn start(ros: &'a Ros, master: &'a Master, config: &Config) -> Result<Self, NodeError> {
+    fn start(ros: &'a Ros, master: &'a Master, config: &Config, face: &Face) -> Result<Self, NodeError> {
         let log = Log::new(ros)?;
+        if !face.ignored.is_empty() {
+            log.warn(&format!("these parameters mean nothing here and are ignored: {}", face.ignored.join(", ")));
+        }
         let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
         let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
         let interrupts = Arc::new(Interrupts::new(config.contract.shared_memory.as_deref())?);
         let mut app = App::new(config, Arc::clone(&clock))?;
         app.warm_up()?;
         app.set_interrupt(Arc::clone(&interrupts) as Arc<_>);
-        let publishers = Publishers::new(ros, config.frames.publish_tf)?;
+        let transform = Arc::new(TransformOutput::default());
+        transform.switch(ros, config.frames.publish_tf)?;
+        let publishers = Publishers::new(ros, Arc::clone(&transform), face)?;
         let diagnostics = Diagnostics::new(ros)?;
         let mut roles = publishers.roles();
-        roles.extend(Input::ALL.map(|input| input.topic().role()));
+        roles.extend(face.inputs.iter().map(|input| input.topic().role()));
         roles.extend([diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
         let contract = app.contract();
 
-        let (in_box, time) = (Arc::clone(&mailbox), Arc::clone(&clock));
-        let matcher = Matcher::new(app, publishers, in_box, Arc::clone(&interrupts), time, Arc::clone(&monitor), log.clone());
+        let (mut services, replies) = Services::new(&mailbox);
+        let shared = Shared {
+            mailbox: Arc::clone(&mailbox),
+            interrupts: Arc::clone(&interrupts),
+            clock: Arc::clone(&clock),
+            monitor: Arc::clone(&monitor),
+            replies,
+            log: log.clone(),
+        };
+        let matcher = Matcher::new(app, publishers, shared);
         let matching = thread::Builder::new()
             .name("matching".into())
             .spawn(|| matcher.run())
             .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
         let links = Links::new(ros, &clock, &log)?;
-        Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, &mailbox, &interrupts))?;
-        let reset = offer_reset(ros, &mailbox)?;
-        roles.push(Role::of_service(ros, RESET)?);
+        face.inputs.iter().try_for_each(|&input| subscribe(&links, input, &mailbox, &interrupts))?;
+        services.offer(ros)?;
+        roles.extend(services.roles(ros)?);
+        let parameters = ParameterWatch::new(master, ros.name(), config)?;
         let master = MasterLink::new(ros, master, roles, &log)?;
         announce(ros, &log, config, &contract)?;
-        Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, links, _reset: reset })
+        Ok(Self {
+            ros,
+            clock,
+            mailbox,
+            monitor,
+            diagnostics,
+            master,
+            matching,
+            links,
+            log,
+            parameters,
+            transform,
+            _services: services,
+        })
     }
 
     /// Once a second: the master and the diagnostics. Until somebody wants the node to stop.
@@ -94,6 +132,9 @@ impl<'a> Node<'a> {
             if elapsed >= diagnostics::PERIOD {
                 last = self.clock.now();
                 self.master.check();
+                if self.master.is_present() {
+                    self.look_after_parameters();
+                }
                 self.monitor.set_too_long(self.links.refused());
                 let (dropped, present) = (self.mailbox.dropped(), self.master.is_present());
                 self.diagnostics.publish(self.ros, &self.monitor, dropped, present, elapsed.as_secs_f64());
@@ -102,20 +143,33 @@ impl<'a> Node<'a> {
         self.mailbox.close();
         let _ = self.matching.join(); // a panic there has been reported by now
     }
-}
 
-fn offer_reset(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<Service, NodeError> {
-    let mailbox = Arc::clone(mailbox);
-    let handle = move |_| {
-        mailbox.put_event(Event::Reset);
-        Ok(TriggerRes { success: true, message: "the next scan is the first one, at the initial pose".into() })
-    };
-    ros.service::<Trigger, _>(RESET, handle).map_err(|error| NodeError::ros(format!("offer the service '{RESET}'"), &error))
+    fn look_after_parameters(&mut self) {
+        for (name, change) in self.parameters.look() {
+            let done = change.and_then(|change| self.apply(change));
+            match done {
+                Ok(()) => self.log.info(&format!("parameter {name}: in force from now on")),
+                Err(problem) => self.log.error(&format!("parameter {name}: no effect: {problem}")),
+            }
+        }
+    }
+
+    fn apply(&mut self, change: Change) -> Result<(), String> {
+        match change {
+            Change::Matching(change) => self.mailbox.put_event(Event::Change(change)),
+            Change::PublishTransform(on) => {
+                self.transform.switch(self.ros, on).map_err(|error| error.to_string())?;
+                self.transform.role().into_iter().for_each(|role| self.master.add(role));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Says that the node is ready, and what for.
 fn announce(ros: &Ros, log: &Log, config: &Config, contract: &Contract) -> Result<(), NodeError> {
-    let [scan, odometry, pose] = ["scan", "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
+    let [scan, odometry, pose] =
+        [if config.cloud.input { "cloud" } else { "scan" }, "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
     let frames = &config.frames;
     log.info(&format!(
         "matches {} with {} to {} ({} -> {}{}), {}",

@@ -16,7 +16,7 @@ const TF_PREFIX: &str = "tf_prefix";
 /// Reads the configuration from the private parameters of `node` on the master.
 pub(super) fn read(master: &Master, node: &str) -> Result<Config, NodeError> {
     let tree = private_parameters(master, node)?;
-    configure(tree, node).map_err(|problem| NodeError::Parameters { node: node.into(), problem })
+    configure(Config::default(), tree, node).map_err(|problem| NodeError::Parameters { node: node.into(), problem })
 }
 
 /// Reads the knobs of a node that has only one group of them.
@@ -32,7 +32,8 @@ pub(super) fn refused(node: &str, name: &str, problem: String) -> NodeError {
     NodeError::Parameters { node: node.into(), problem }
 }
 
-fn private_parameters(master: &Master, node: &str) -> Result<Value, NodeError> {
+/// The private parameters of `node` on the master as a tree.
+pub(super) fn private_parameters(master: &Master, node: &str) -> Result<Value, NodeError> {
     let failed = |error| NodeError::ros(format!("read the parameters of {node}"), &error);
     let exists = master.has_param(node).map_err(failed)?;
     let mut tree = if exists { master.get_param(node).map_err(failed)? } else { Value::Null };
@@ -42,8 +43,8 @@ fn private_parameters(master: &Master, node: &str) -> Result<Value, NodeError> {
     Ok(tree)
 }
 
-fn configure(mut tree: Value, node: &str) -> Result<Config, ConfigError> {
-    let mut config = Config::default();
+/// `config`, changed by the file and by the parameters of a tree.
+pub(super) fn configure(mut config: Config, mut tree: Value, node: &str) -> Result<Config, ConfigError> {
     if let Value::Object(parameters) = &mut tree
         && let Some(file) = parameters.remove(CONFIG_FILE)
     {
@@ -71,22 +72,26 @@ mod tests {
     use super::*;
     use serde_json::json;
 
+    fn configured(tree: Value, node: &str) -> Result<Config, ConfigError> {
+        configure(Config::default(), tree, node)
+    }
+
     #[test]
     fn the_file_comes_first_and_single_parameters_win() {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "base_frame: car\nmatching: {max_iterations: 7}\n").unwrap();
         let tree = json!({"config": file.path(), "matching": {"max_iterations": 9}});
-        let config = configure(tree, "/node").unwrap();
+        let config = configured(tree, "/node").unwrap();
         assert_eq!((config.frames.base_frame.as_str(), config.matching.max_iterations), ("car", 9));
-        assert_eq!(configure(Value::Null, "/node").unwrap(), Config::default());
-        assert_eq!(configure(json!({"config": ""}), "/node").unwrap(), Config::default());
+        assert_eq!(configured(Value::Null, "/node").unwrap(), Config::default());
+        assert_eq!(configured(json!({"config": ""}), "/node").unwrap(), Config::default());
     }
 
     #[test]
     fn mistakes_name_the_node_and_the_remedy() {
-        let typo = configure(json!({"matching": {"max_iteration": 9}}), "/node").unwrap_err().to_string();
+        let typo = configured(json!({"matching": {"max_iteration": 9}}), "/node").unwrap_err().to_string();
         assert!(typo.contains("parameters of /node") && typo.contains("did you mean 'matching.max_iterations'"), "{typo}");
-        assert!(configure(json!({"config": 3}), "/node").unwrap_err().to_string().contains("YAML file"));
-        assert!(configure(json!({"config": "no/such.yaml"}), "/node").unwrap_err().to_string().contains("no/such.yaml"));
+        assert!(configured(json!({"config": 3}), "/node").unwrap_err().to_string().contains("YAML file"));
+        assert!(configured(json!({"config": "no/such.yaml"}), "/node").unwrap_err().to_string().contains("no/such.yaml"));
     }
 }

@@ -1,6 +1,7 @@
 //! What the node says.
 
 use std::marker::PhantomData;
+use std::sync::Arc;
 use std::time::Duration;
 
 use rosrust::api::Ros;
@@ -13,9 +14,11 @@ use rosrust_msg::tf2_msgs::TFMessage;
 use rosrust_msg::visualization_msgs::Marker;
 
 use super::NodeError;
+use super::compat::{Face, PoseOutputs};
 use super::convert::Answer;
 use super::master::Role;
 use super::path::PathHistory;
+use super::transform_output::TransformOutput;
 use crate::odometry::{MatchedPoints, Outcome};
 use crate::time::Stamp;
 
@@ -27,16 +30,19 @@ const QUEUE: usize = 100;
 /// rosrust writes the present time over stamps of zero and its own numbers over ours, so it is given bytes.
 pub(super) struct Output<T> {
     topic: &'static str,
+    message_type: String,
     publisher: Publisher<RawMessage>,
     message: PhantomData<fn(T)>,
 }
 
-impl<T: Message> Output<T> {
-    pub(super) fn new(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
+impl<T> Output<T> {
+    /// A topic of messages of this description.
+    pub(super) fn described(ros: &Ros, topic: &'static str, description: RawMessageDescription) -> Result<Self, NodeError> {
+        let message_type = description.msg_type.clone();
         let publisher = ros
-            .publish_with_description(topic, QUEUE, RawMessageDescription::from_message::<T>())
+            .publish_with_description(topic, QUEUE, description)
             .map_err(|error| NodeError::ros(format!("publish '{topic}'"), &error))?;
-        Ok(Self { topic, publisher, message: PhantomData })
+        Ok(Self { topic, message_type, publisher, message: PhantomData })
     }
 
     /// New listeners are given the last message at once.
@@ -49,18 +55,30 @@ impl<T: Message> Output<T> {
         self.publisher.subscriber_count() > 0
     }
 
-    /// Hands a message over, if anybody listens; what it takes to make it is spent only then.
-    pub(super) fn send(&self, message: impl FnOnce() -> T) {
+    /// Hands the wire form of a message over, if anybody listens; what it takes to make it is spent only then.
+    pub(super) fn send_bytes(&self, bytes: impl FnOnce() -> Vec<u8>) {
         if self.has_listeners() {
-            let mut bytes = Vec::new();
-            // Neither can fail: the one writes to memory, the other only queues.
-            let _ = message().encode(&mut bytes);
-            let _ = self.publisher.send(RawMessage(bytes));
+            let _ = self.publisher.send(RawMessage(bytes())); // only queues
         }
     }
 
     pub(super) fn role(&self) -> Role {
-        Role::Publisher { topic: self.topic, message_type: T::msg_type() }
+        Role::Publisher { topic: self.topic, message_type: self.message_type.clone() }
+    }
+}
+
+impl<T: Message> Output<T> {
+    pub(super) fn new(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
+        Self::described(ros, topic, RawMessageDescription::from_message::<T>())
+    }
+
+    /// Hands a message over, as [`Self::send_bytes`] does.
+    pub(super) fn send(&self, message: impl FnOnce() -> T) {
+        self.send_bytes(|| {
+            let mut bytes = Vec::new();
+            let _ = message().encode(&mut bytes); // cannot fail: it writes to memory
+            bytes
+        });
     }
 }
 
@@ -72,14 +90,17 @@ pub(super) struct Publishers {
     report: Output<MatchReport>,
     path: Output<Path>,
     debug: Output<Marker>,
-    transform: Option<Output<TFMessage>>,
+    transform: Arc<TransformOutput>,
+    /// The topics of another node's face, if this one has it.
+    compat: Option<PoseOutputs>,
     edge: i32,
     history: PathHistory,
     last_transform: Option<Stamp>,
 }
 
 impl Publishers {
-    pub(super) fn new(ros: &Ros, publish_tf: bool) -> Result<Self, NodeError> {
+    /// With the output of transforms, which comes and goes.
+    pub(super) fn new(ros: &Ros, transform: Arc<TransformOutput>, face: &Face) -> Result<Self, NodeError> {
         Ok(Self {
             pose: Output::new(ros, "scan_match_location")?,
             state: Output::new(ros, "icp_state")?,
@@ -87,7 +108,8 @@ impl Publishers {
             report: Output::new(ros, "icp_report")?,
             path: Output::new(ros, "icp/path")?.latched(),
             debug: Output::new(ros, "scan_match_debug")?,
-            transform: if publish_tf { Some(Output::new(ros, "/tf")?) } else { None },
+            transform,
+            compat: face.poses.map(|wanted| PoseOutputs::new(ros, wanted)).transpose()?,
             edge: 0,
             history: PathHistory::default(),
             last_transform: None,
@@ -98,7 +120,7 @@ impl Publishers {
     pub(super) fn roles(&self) -> Vec<Role> {
         let always =
             [self.pose.role(), self.state.role(), self.odometry.role(), self.report.role(), self.path.role(), self.debug.role()];
-        always.into_iter().chain(self.transform.as_ref().map(Output::role)).collect()
+        always.into_iter().chain(self.transform.role()).chain(self.compat.iter().flat_map(PoseOutputs::roles)).collect()
     }
 
     /// Whether anybody looks at matched points.
@@ -107,13 +129,16 @@ impl Publishers {
     }
 
     /// Ends the publication of transforms; whether there was any.
-    pub(super) fn withhold_transform(&mut self) -> bool {
-        self.transform.take().is_some()
+    pub(super) fn withhold_transform(&self) -> bool {
+        self.transform.withhold()
     }
 
     /// What the controller waits for: the pose, and the edge that says it is there.
     pub(super) fn publish_pose(&mut self, answer: &Answer) {
         self.pose.send(|| answer.pose_stamped());
+        if let Some(compat) = &self.compat {
+            compat.publish(answer);
+        }
         self.edge = 1 - self.edge;
         self.state.send(|| Int32 { data: self.edge });
     }
@@ -128,10 +153,9 @@ impl Publishers {
     /// tf does not want a stamp twice, and a transform of the past would only say what an answer out of order repeats.
     fn publish_transform(&mut self, answer: &Answer) {
         let (stamp, outcome) = (answer.estimate.stamp, &answer.estimate.registration.outcome);
-        let Some(transform) = &self.transform else { return };
         if *outcome == Outcome::First || self.last_transform.is_none_or(|last| stamp > last) {
             self.last_transform = Some(stamp);
-            transform.send(|| TFMessage { transforms: vec![answer.transform()] });
+            self.transform.send(|| TFMessage { transforms: vec![answer.transform()] });
         }
     }
 

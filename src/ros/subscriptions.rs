@@ -8,10 +8,10 @@ use super::inlet::{Letter, Topic, listen};
 use super::interrupts::Interrupts;
 use super::links::Links;
 use super::mailbox::{Event, Mailbox};
-use crate::messages::geometry_msgs::PoseWithCovarianceStamped;
+use crate::messages::geometry_msgs::{PoseWithCovarianceStamped, Twist, TwistStamped};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::Contract;
-use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use crate::messages::std_msgs::Empty;
 use crate::messages::tf2_msgs::TFMessage;
 
@@ -22,7 +22,11 @@ const MAX_GAP: u32 = 100;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Input {
     Scan,
+    Cloud,
     Odometry,
+    Imu,
+    Velocity,
+    StampedVelocity,
     Contract,
     Interrupt,
     InitialPose,
@@ -31,9 +35,13 @@ pub(super) enum Input {
 }
 
 impl Input {
-    pub(super) const ALL: [Self; 7] = [
+    pub(super) const ALL: [Self; 11] = [
         Self::Scan,
+        Self::Cloud,
         Self::Odometry,
+        Self::Imu,
+        Self::Velocity,
+        Self::StampedVelocity,
         Self::Contract,
         Self::Interrupt,
         Self::InitialPose,
@@ -49,7 +57,11 @@ impl Input {
     pub(super) fn topic(self) -> Topic {
         match self {
             Self::Scan => Topic::of::<LaserScan>("scan"),
+            Self::Cloud => Topic::of::<PointCloud2>("cloud"),
             Self::Odometry => Topic::of::<Odometry>("odom"),
+            Self::Imu => Topic::of::<Imu>("imu/data"),
+            Self::Velocity => Topic::of::<Twist>("vel"),
+            Self::StampedVelocity => Topic::of::<TwistStamped>("vel"),
             Self::Contract => Topic::of::<Contract>("icp_contract"),
             Self::Interrupt => Topic::of::<Empty>("icp_interrupt"),
             Self::InitialPose => Topic::of::<PoseWithCovarianceStamped>("initialpose"),
@@ -69,7 +81,7 @@ pub(super) fn subscribe(
     let (mailbox, interrupts) = (Arc::clone(mailbox), Arc::clone(interrupts));
     let mut numbering = Numbering::default();
     let receive = move |letter: Letter| match input {
-        Input::Scan => {
+        Input::Scan | Input::Cloud => {
             mailbox.count_lost_scans(numbering.lost_before(&letter).into());
             mailbox.put_scan(letter);
         }

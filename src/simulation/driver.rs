@@ -1,6 +1,6 @@
 //! Follows a route: pure pursuit (Coulter, 1992), at a speed that the curves ahead allow.
 
-use crate::geometry::Pose2;
+use crate::geometry::{Point, Pose2};
 
 use super::route::Route;
 use super::vehicle::{Command, VehicleKnobs};
@@ -40,6 +40,12 @@ impl<'a> Driver<'a> {
     pub fn start(&self) -> Pose2 {
         let (here, next) = (self.route.point(0), self.route.point(1));
         Pose2::new(here.x, here.y, (next.y - here.y).atan2(next.x - here.x))
+    }
+
+    /// The car was carried off: goes on from the point of the route nearest to `place`.
+    pub fn find(&mut self, place: Point) {
+        let distance = |&i: &usize| (self.route.point(i) - place).norm_squared();
+        self.progress = (0..self.speeds.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
     }
 
     /// What to do at `pose` and `speed`.

@@ -20,6 +20,8 @@ knobs! {
         beams: u32 = 1081, in 10 to 10000;
         /// Angle between the first and the last ray; at 360 the last stops one step short of the first.
         field_of_view: f64 = 270.0, in 10 to 360, unit "deg";
+        /// At 360 degrees: whether the last ray falls on the first, as with `racecar_simulator`, instead of stopping one step short of it.
+        overlap: bool = false;
         /// Scans per second.
         rate: f64 = 40.0, in 0.1 to 1000, unit "Hz";
         /// Nearest distance measured; nearer walls give -inf (REP 117).
@@ -56,7 +58,7 @@ impl<'a> Lidar<'a> {
     pub fn new(knobs: &'a LidarKnobs, random: Pcg64) -> Self {
         let beams = f64::from(knobs.beams);
         let view = knobs.field_of_view.to_radians();
-        let steps = if knobs.field_of_view < 360.0 { beams - 1.0 } else { beams };
+        let steps = if knobs.field_of_view < 360.0 || knobs.overlap { beams - 1.0 } else { beams };
         let angle_min = (-0.5 * view) as f32;
         let angle_increment = (view / steps) as f32;
         let template = LaserScan {

@@ -5,15 +5,19 @@
 //! [`traffic`] if wanted. The same seed makes
 //! the same messages, bit for bit.
 //!
+//! Live, a [`car`] goes where it is told to, moment by moment; beams of its lidar may take the short way through a [`marched_world`].
+//!
 //! For the study of one match at a time, [`pairs`] takes two scans close together in a [`random_world`], and [`information`] says
 //! how well any matcher could do there.
 
 pub mod built_in;
+pub mod car;
 pub mod drive;
 pub mod driver;
 pub mod grid_world;
 pub mod information;
 pub mod lidar;
+pub mod marched_world;
 pub mod motion;
 pub mod odometer;
 pub mod pairs;

@@ -64,6 +64,11 @@ impl<'a> Vehicle<'a> {
         self.speed
     }
 
+    /// Comes to rest at once, its wheels straight.
+    pub fn stop(&mut self) {
+        (self.speed, self.turn) = (0.0, 0.0);
+    }
+
     /// Carries out a command for `seconds`, as far as the car can. Returns the velocity of the rear axle during that time.
     pub fn step(&mut self, command: Command, seconds: f64) -> Twist2 {
         let knobs = self.knobs;

@@ -41,6 +41,11 @@ pub fn at(seconds: f64) -> Stamp {
     Stamp::from_ros(START, 0).offset_by(seconds)
 }
 
+/// Where the drive begins in the room.
+pub fn room_from_odom() -> Pose2 {
+    Pose2::new(-1.0, -1.0, 0.3)
+}
+
 /// On a circle, starting at the origin.
 pub fn base_pose(seconds: f64) -> Pose2 {
     let (radius, angle) = (1.2, 0.4 * seconds);
@@ -60,7 +65,7 @@ pub fn header(seconds: f64, frame: &str) -> Header {
 
 #[allow(clippy::cast_possible_truncation)] // messages carry f32
 pub fn scan(number: u32, seconds: f64, laser: Laser) -> LaserScan {
-    let room_from_laser = Pose2::new(-1.0, -1.0, 0.3) * base_pose(seconds) * LASER_IN_BASE;
+    let room_from_laser = room_from_odom() * base_pose(seconds) * LASER_IN_BASE;
     let ranges = laser
         .geometry()
         .directions()

@@ -10,10 +10,16 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use anytime_scan_matcher::io::bag::{BagWriter, Compression};
+use anytime_scan_matcher::messages::Message;
+use anytime_scan_matcher::messages::std_msgs::Empty;
+use anytime_scan_matcher::time::Stamp;
+use serde::Serialize;
 use tempfile::TempDir;
 
 pub const PACKAGE: &str = env!("CARGO_MANIFEST_DIR");
 pub const NODE: &str = env!("CARGO_BIN_EXE_scan_matcher");
+const PROGRAMS: [&str; 3] = [NODE, env!("CARGO_BIN_EXE_contract_demo"), env!("CARGO_BIN_EXE_racecar_sim")];
 /// For whatever should happen soon; a loaded machine may take its time.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -114,6 +120,27 @@ impl Graph {
         String::from_utf8(output.stdout).unwrap()
     }
 
+    /// A launch file of this package, with a target directory whose release build are the programs under test.
+    pub fn launch(&self, file: &str, arguments: &[&str]) -> Process {
+        self.launch_with(file, arguments, &[])
+    }
+
+    /// The same, with more variables of the environment.
+    pub fn launch_with(&self, file: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Process {
+        let release = self.dir.path().join("target/release");
+        fs::create_dir_all(&release).unwrap();
+        for program in PROGRAMS.map(Path::new) {
+            let link = release.join(program.file_name().unwrap());
+            if !link.exists() {
+                std::os::unix::fs::symlink(program, link).unwrap();
+            }
+        }
+        let mut command = self.command("roslaunch");
+        command.env("CARGO_TARGET_DIR", release.parent().unwrap()).envs(variables.iter().copied());
+        command.args(["anytime_scan_matcher", file]).args(arguments);
+        Process::spawn(command, self.dir.path())
+    }
+
     /// The node, without waiting for anything.
     pub fn spawn_node(&self, arguments: &[&str]) -> Process {
         self.spawn(NODE, arguments)
@@ -161,14 +188,32 @@ impl Graph {
         assert_eq!(player.exit_code(6 * PATIENCE), Some(0), "{}", player.log());
     }
 
+    /// Publishes one message, when links have had time to come about, and stays until it has been heard.
+    pub fn say<T: Message + Serialize>(&self, topic: &str, message: &T) {
+        let bag = self.dir.path().join("said.bag");
+        let mut writer = BagWriter::create(&bag, Compression::None).unwrap();
+        writer.write("/said", Stamp::from_ros(1, 0), &Empty {}).unwrap();
+        writer.write(topic, Stamp::from_ros(4, 0), message).unwrap();
+        writer.write("/said", Stamp::from_ros(6, 0), &Empty {}).unwrap();
+        writer.finish().unwrap();
+        self.play(&bag, &[]);
+    }
+
     pub fn start_playing(&self, bag: &Path, arguments: &[&str]) -> Process {
         let mut all = vec!["play", "--quiet", "--delay", "1.5", bag.to_str().unwrap()];
         all.extend(arguments);
         self.spawn("rosbag", &all)
     }
 
-    /// Calls a `std_srvs/Trigger`: its Python types need not be installed, so this speaks TCPROS by itself.
+    /// Calls a `std_srvs/Trigger` that succeeds; its message.
     pub fn trigger(&self, service: &str) -> String {
+        let (success, message) = self.call(service);
+        assert!(success, "{message}");
+        message
+    }
+
+    /// Calls a `std_srvs/Trigger`: its Python types need not be installed, so this speaks TCPROS by itself.
+    pub fn call(&self, service: &str) -> (bool, String) {
         let uri = self.output("rosservice", &["uri", service]);
         let mut stream = TcpStream::connect(uri.trim().strip_prefix("rosrpc://").unwrap()).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -194,8 +239,8 @@ impl Graph {
         let mut ok = [0];
         stream.read_exact(&mut ok).unwrap();
         let answer = block(&mut stream);
-        assert_eq!((ok[0], answer[0]), (1, 1), "the service failed");
-        String::from_utf8(answer[5..].to_vec()).unwrap()
+        assert_eq!(ok[0], 1, "the service failed");
+        (answer[0] == 1, String::from_utf8(answer[5..].to_vec()).unwrap())
     }
 }
 

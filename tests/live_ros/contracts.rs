@@ -1,7 +1,6 @@
 //! The time contract on a live graph: changed, called in early by topic and by shared memory, missed, and watched by a controller.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -262,8 +261,8 @@ struct Row {
 fn the_demo_controller_gives_budgets_by_speed_and_logs_how_they_are_kept() {
     let Some(graph) = Graph::start() else { return };
     let csv = graph.dir.path().join("adherence.csv");
-    let mut launch = launch_demo(
-        &graph,
+    let mut launch = graph.launch(
+        "contract_demo.launch",
         &[
             &format!("bag:={PACKAGE}/bags/demo.bag"),
             &format!("csv:={}", csv.display()),
@@ -286,21 +285,6 @@ fn the_demo_controller_gives_budgets_by_speed_and_logs_how_they_are_kept() {
     assert!(following * 10 > rows.len() * 7, "{following} of {}", rows.len());
     let shortest = rows.iter().map(|row| row.budget_ms).filter(|budget| *budget > 0.0).fold(f64::INFINITY, f64::min);
     assert!(shortest < 5.0 && rows.iter().any(|row| row.budget_ms > 9.9), "shortest {shortest} ms");
-}
-
-/// The launch file of the demo, with a target directory whose release build are the programs under test.
-fn launch_demo(graph: &Graph, arguments: &[&str]) -> Process {
-    let release = graph.dir.path().join("target/release");
-    fs::create_dir_all(&release).unwrap();
-    for program in [env!("CARGO_BIN_EXE_scan_matcher"), env!("CARGO_BIN_EXE_contract_demo")].map(PathBuf::from) {
-        std::os::unix::fs::symlink(&program, release.join(program.file_name().unwrap())).unwrap();
-    }
-    let mut command = graph.command("roslaunch");
-    command
-        .env("CARGO_TARGET_DIR", release.parent().unwrap())
-        .args(["anytime_scan_matcher", "contract_demo.launch"])
-        .args(arguments);
-    Process::spawn(command, graph.dir.path())
 }
 
 fn read_rows(csv: &Path) -> Vec<Row> {

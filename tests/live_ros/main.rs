@@ -4,12 +4,17 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod compat;
 mod contracts;
 #[path = "../common/drive.rs"]
 mod drive;
 #[path = "../common/graph.rs"]
 mod graph;
+mod mounts;
 mod peer;
+mod racecar_sim;
+mod runtime;
+mod rviz;
 
 use std::fs;
 use std::path::Path;
@@ -17,10 +22,13 @@ use std::time::{Duration, Instant};
 
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
-use anytime_scan_matcher::messages::geometry_msgs::{PoseStamped, PoseWithCovarianceStamped, TransformStamped};
+use anytime_scan_matcher::messages::ackermann_msgs::AckermannDriveStamped;
+use anytime_scan_matcher::messages::geometry_msgs::{
+    PoseStamped, PoseWithCovarianceStamped, TransformStamped, Twist, TwistStamped,
+};
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::own::{self, Contract};
-use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use anytime_scan_matcher::messages::std_msgs::{Empty, Header, Int32};
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::messages::{self, Message};
@@ -84,6 +92,11 @@ fn message_types_are_those_of_the_ros_installed() {
         pair::<PoseWithCovarianceStamped, rosrust_msg::geometry_msgs::PoseWithCovarianceStamped>(),
         pair::<TransformStamped, rosrust_msg::geometry_msgs::TransformStamped>(),
     ];
+    pair::<PointCloud2, rosrust_msg::sensor_msgs::PointCloud2>();
+    pair::<Imu, rosrust_msg::sensor_msgs::Imu>();
+    pair::<AckermannDriveStamped, rosrust_msg::ackermann_msgs::AckermannDriveStamped>();
+    pair::<Twist, rosrust_msg::geometry_msgs::Twist>();
+    pair::<TwistStamped, rosrust_msg::geometry_msgs::TwistStamped>();
     pair::<Contract, rosrust_msg::anytime_scan_matcher::Contract>();
     pair::<own::MatchReport, MatchReport>();
     pair::<Int32, rosrust_msg::std_msgs::Int32>();
@@ -285,27 +298,46 @@ fn parameters_come_from_a_file_and_mistakes_end_the_node() {
 #[test]
 fn the_launch_file_starts_the_release_build_with_its_arguments() {
     let Some(graph) = Graph::start() else { return };
-    // A target directory whose release build is the node under test.
-    let release = graph.dir.path().join("target/release");
-    fs::create_dir_all(&release).unwrap();
-    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_scan_matcher"), release.join("scan_matcher")).unwrap();
-    let mut command = graph.command("roslaunch");
-    command.env("CARGO_TARGET_DIR", release.parent().unwrap()).args([
-        "anytime_scan_matcher",
-        "scan_matcher.launch",
-        "scan:=/front/scan",
-        "time_budget:=5ms",
-        "base_frame:=car",
-        "laser_in_base:=[1, 0, 0]",
-    ]);
-    let mut launch = Process::spawn(command, graph.dir.path());
+    let arguments = ["scan:=/front/scan", "time_budget:=5ms", "base_frame:=car", "laser_in_base:=[1, 0, 0]"];
+    let mut launch = graph.launch("scan_matcher.launch", &arguments);
     launch.expect_log("matches /front/scan with /odom to /scan_match_location (odom -> car, also on /tf), within 5ms");
     launch.signal("INT");
     assert!(launch.exit_code(PATIENCE).is_some());
-    for arguments in [&["scan_matcher.launch"][..], &["replay.launch", "bag:=any.bag", "rviz:=true"], &["contract_demo.launch"]] {
+    for arguments in [
+        &["scan_matcher.launch"][..],
+        &["laser_scan_matcher_compat.launch"],
+        &["racecar_simulator.launch", "simulator:=built_in"],
+        &["replay.launch", "bag:=any.bag", "rviz:=true"],
+        &["contract_demo.launch"],
+    ] {
         let nodes = graph.output("roslaunch", &[&["--nodes", "anytime_scan_matcher"], arguments].concat());
-        assert!(nodes.contains("/scan_matcher"), "{nodes}");
+        assert!(nodes.contains("scan_matcher"), "{nodes}");
     }
+}
+
+/// The installed tree is laid out as a package's is, and `roslaunch` finds the node in it.
+fn check_installed(graph: &Graph) {
+    let install = graph.dir.path().join("install");
+    let programs = ["scan_matcher", "scan_matcher_node", "contract_demo_node", "racecar_sim_node", "anytime"];
+    let files = programs.map(|name| format!("lib/anytime_scan_matcher/{name}"));
+    let share = [
+        "package.xml",
+        "msg/Contract.msg",
+        "msg/MatchReport.msg",
+        "launch/scan_matcher.launch",
+        "launch/laser_scan_matcher_compat.launch",
+        "launch/scan_matcher.rviz",
+        "launch/plotjuggler.xml",
+    ];
+    let share = share.map(|name| format!("share/anytime_scan_matcher/{name}"));
+    let header = "include/anytime_scan_matcher/shared_memory.h".to_owned();
+    for file in files.iter().chain(&share).chain([&header]) {
+        assert!(install.join(file).is_file(), "{file} is not installed");
+    }
+    let mut command = graph.command(install.join("env.sh"));
+    command.env_remove("ROS_PACKAGE_PATH").args(["roslaunch", "anytime_scan_matcher", "scan_matcher.launch", "name:=installed"]);
+    let launch = Process::spawn(command, graph.dir.path());
+    launch.expect_log("/installed: matches /scan");
 }
 
 #[test]
@@ -322,13 +354,16 @@ fn catkin_builds_what_rostopic_needs_to_show_our_messages() {
     fs::create_dir(&source).unwrap();
     std::os::unix::fs::symlink(PACKAGE, source.join("anytime_scan_matcher")).unwrap();
     let mut make = graph.command("catkin_make");
-    make.env_remove("ROS_PACKAGE_PATH")
-        .env("ROS_LANG_DISABLE", "gencpp:geneus:genlisp:gennodejs")
-        .args(["-DPYTHON_EXECUTABLE=/usr/bin/python3", "-DCATKIN_ENABLE_TESTING=OFF"]);
+    make.env_remove("ROS_PACKAGE_PATH").env("ROS_LANG_DISABLE", "gencpp:geneus:genlisp:gennodejs").args([
+        "install",
+        "-DPYTHON_EXECUTABLE=/usr/bin/python3",
+        "-DCATKIN_ENABLE_TESTING=OFF",
+    ]);
     let mut make = Process::spawn(make, graph.dir.path());
     assert_eq!(make.exit_code(Duration::from_secs(900)), Some(0), "{}", make.log());
     let program = graph.dir.path().join("devel/lib/anytime_scan_matcher/scan_matcher");
     assert!(program.is_file(), "{}", make.log());
+    check_installed(&graph);
 
     let _node = graph.spawn(program.to_str().unwrap(), &[MOUNT]);
     let bag = graph.dir.path().join("drive.bag");

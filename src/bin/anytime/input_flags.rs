@@ -23,6 +23,9 @@ pub(crate) struct InputFlags {
     /// Topic of the wheel odometry [default: /odom, if the bag has it]
     #[arg(long)]
     odom_topic: Option<String>,
+    /// Topic of an IMU [default: /imu/data, if the bag has it]
+    #[arg(long)]
+    imu_topic: Option<String>,
     /// True poses to compare with: a TUM file, or a topic of the bag
     #[arg(long, value_name = "FILE|TOPIC")]
     pub(crate) truth: Option<String>,
@@ -35,7 +38,7 @@ pub(crate) struct InputFlags {
 
 impl InputFlags {
     pub(crate) fn topics(&self, bag: &Bag) -> Result<Topics, BagError> {
-        Topics::resolve(bag, &self.scan_topic, self.odom_topic.as_deref())
+        Topics::resolve(bag, &self.scan_topic, self.odom_topic.as_deref())?.with_imu(bag, self.imu_topic.as_deref())
     }
 }
 

@@ -18,9 +18,9 @@ pub(crate) struct NodeProgram<'a> {
 }
 
 impl NodeProgram<'_> {
-    /// Runs the node, unless the arguments ask for something else.
-    pub(crate) fn main(&self) -> ExitCode {
-        match unknown_argument().as_deref() {
+    /// Runs the node, unless the arguments, those that are not ROS's, ask for something else.
+    pub(crate) fn main(&self, arguments: &[String]) -> ExitCode {
+        match arguments.first().map(String::as_str) {
             None => self.run_node(),
             Some("-h" | "--help") => {
                 println!("{}", self.usage);
@@ -65,7 +65,8 @@ fn limit_arenas() {
     }
 }
 
-/// The first argument that is not ROS's.
-fn unknown_argument() -> Option<String> {
-    env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned()).find(|argument| !argument.contains(":="))
+/// The arguments that are not ROS's.
+pub(crate) fn own_arguments() -> Vec<String> {
+    let all = env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned());
+    all.filter(|argument| !argument.contains(":=")).collect()
 }

@@ -1,0 +1,149 @@
+//! What is known of the robot's motion besides its scans, from several sources at once.
+//!
+//! The better one goes first: transforms of another node, the heading of an IMU, wheel odometry, a velocity. Where there is none,
+//! the robot is taken to go on as it did.
+
+use crate::geometry::{Pose2, PoseCovariance, Twist2};
+use crate::time::Stamp;
+
+use super::heading::{Heading, HeadingReading};
+use super::wheel::{WheelEvent, WheelOdometry, WheelSample};
+
+/// A velocity that is older than this says nothing about a scan, s.
+const OLDEST_VELOCITY: f64 = 0.5;
+/// Standard deviation of an IMU's turn: so much, rad, ...
+const HEADING_ERROR: f64 = 0.005;
+/// ... and this part of the turn.
+const HEADING_SCALE_ERROR: f64 = 0.02;
+
+/// All sources of the robot's motion.
+#[derive(Clone, Debug, Default)]
+pub struct MotionSources {
+    transforms: WheelOdometry,
+    heading: Heading,
+    wheels: WheelOdometry,
+    /// With the stamp of the last scan before it came: velocities have none of their own.
+    velocity: Option<(Stamp, Twist2)>,
+}
+
+impl MotionSources {
+    /// Where another node's transforms say the base is.
+    pub fn push_transform(&mut self, sample: WheelSample) -> WheelEvent {
+        self.transforms.push(sample)
+    }
+
+    /// A reading of the IMU.
+    pub fn push_heading(&mut self, reading: HeadingReading) {
+        self.heading.push(reading);
+    }
+
+    /// A message of wheel odometry.
+    pub fn push(&mut self, sample: WheelSample) -> WheelEvent {
+        self.wheels.push(sample)
+    }
+
+    /// The robot moves like this, from the scan of this stamp on.
+    pub fn set_velocity(&mut self, after: Stamp, twist: Twist2) {
+        self.velocity = Some((after, twist));
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Whether something comes that says where the base is at `stamp`, and has not come yet.
+    pub fn is_behind(&self, stamp: Stamp) -> bool {
+        self.wheels.is_behind(stamp) || self.transforms.is_due(stamp) || self.heading.is_due(stamp)
+    }
+
+    /// The motion of the base from one time to another, seen from the first; `None` where nothing covers it.
+    pub fn motion(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
+        self.transforms.motion(from, to).or_else(|| {
+            let motion = self.wheels.motion(from, to).or_else(|| self.by_velocity(from, to))?;
+            Some(self.heading.turn(from, to).map_or(motion, |turn| with_turn(&motion, turn)))
+        })
+    }
+
+    fn by_velocity(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
+        let (after, twist) = self.velocity?;
+        (to.seconds_since(after) <= OLDEST_VELOCITY).then(|| twist.motion(to.seconds_since(from)))
+    }
+
+    /// A motion that was predicted some other way, with the IMU's turn where that is known better.
+    pub fn with_heading(&self, motion: Pose2, covariance: PoseCovariance, from: Stamp, to: Stamp) -> (Pose2, PoseCovariance) {
+        let turn = self.heading.turn(from, to).filter(|_| self.transforms.motion(from, to).is_none());
+        let Some(turn) = turn else { return (motion, covariance) };
+        let deviation = HEADING_ERROR + HEADING_SCALE_ERROR * turn.abs();
+        let mut known = covariance;
+        known[(2, 2)] = known[(2, 2)].min(deviation * deviation);
+        (with_turn(&motion, turn), known)
+    }
+}
+
+/// The motion of the same way but another turn: the arc bends more or less.
+fn with_turn(motion: &Pose2, turn: f64) -> Pose2 {
+    Twist2 { omega: turn, ..Twist2::of_motion(motion, 1.0) }.motion(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::odometry::uncertainty;
+
+    fn at(seconds: f64) -> Stamp {
+        Stamp::from_seconds(seconds)
+    }
+
+    fn sample(seconds: f64, pose: Pose2) -> WheelSample {
+        WheelSample { stamp: at(seconds), pose, twist: None }
+    }
+
+    fn motion(sources: &MotionSources) -> Pose2 {
+        sources.motion(at(0.0), at(0.1)).unwrap()
+    }
+
+    #[test]
+    fn the_better_source_goes_first() {
+        let mut sources = MotionSources::default();
+        assert_eq!(sources.motion(at(0.0), at(0.1)), None);
+        sources.set_velocity(at(0.0), Twist2 { vx: 1.0, vy: 0.0, omega: 0.0 });
+        assert_eq!(motion(&sources), Pose2::new(0.1, 0.0, 0.0));
+        assert_eq!(sources.motion(at(0.5), at(0.6)), None, "an old velocity");
+        for seconds in [0.0, 0.1] {
+            sources.push(sample(seconds, Pose2::new(2.0 * seconds, 0.0, 0.0)));
+        }
+        assert_eq!(motion(&sources), Pose2::new(0.2, 0.0, 0.0));
+        for (seconds, yaw) in [(0.0, 1.0), (0.1, 1.3)] {
+            sources.push_heading(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 3.0 });
+        }
+        let turned = motion(&sources);
+        assert!((turned.theta - 0.3).abs() < 1e-9 && turned.y > 0.02, "the way of the wheels bends: {turned:?}");
+        assert!((turned.distance() - 0.2).abs() < 1e-3);
+        for seconds in [0.0, 0.1] {
+            sources.push_transform(sample(seconds, Pose2::new(5.0 * seconds, 0.0, 0.0)));
+        }
+        assert_eq!(motion(&sources), Pose2::new(0.5, 0.0, 0.0));
+    }
+
+    #[test]
+    fn an_imu_alone_turns_what_was_predicted_and_says_how_well() {
+        let mut sources = MotionSources::default();
+        let covariance = uncertainty::of_constant_velocity(0.1);
+        let straight = Pose2::new(0.1, 0.0, 0.0);
+        assert_eq!(sources.with_heading(straight, covariance, at(0.0), at(0.1)), (straight, covariance));
+        for (seconds, yaw) in [(0.0, 0.0), (0.1, 0.2)] {
+            sources.push_heading(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 2.0 });
+        }
+        let (turned, known) = sources.with_heading(straight, covariance, at(0.0), at(0.1));
+        assert!((turned.theta - 0.2).abs() < 1e-9 && known[(2, 2)] < 0.1 * covariance[(2, 2)]);
+        assert_eq!(known[(0, 0)].to_bits(), covariance[(0, 0)].to_bits());
+    }
+
+    #[test]
+    fn scans_wait_for_what_comes_but_not_for_what_has_stopped_coming() {
+        let mut sources = MotionSources::default();
+        sources.push_heading(HeadingReading { stamp: at(0.0), yaw: None, rate: 0.1 });
+        assert_eq!([0.01, 0.2, 2.0].map(|seconds| sources.is_behind(at(seconds))), [false, true, false]);
+    }
+}

@@ -1,0 +1,153 @@
+//! Parameters that change while the node runs: a few take effect at once, the others are refused.
+
+use std::collections::BTreeMap;
+
+use rosrust::api::Master;
+
+use super::{NodeError, params};
+use crate::anytime::contract::Contract;
+use crate::config::Config;
+use crate::knobs::Value;
+
+/// What can be changed while the node runs.
+const LIVE: [&str; 5] = [
+    "contract.time_budget",
+    "contract.translation_error_bound",
+    "contract.rotation_error_bound",
+    "matching.max_iterations",
+    "publish_tf",
+];
+
+/// A change that takes effect at once.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Change {
+    Matching(MatchingChange),
+    PublishTransform(bool),
+}
+
+/// A change for the matching thread, in force from the next scan on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum MatchingChange {
+    Contract(Contract),
+    MaxIterations(u32),
+}
+
+/// Looks what has changed among the private parameters of the node.
+///
+/// A parameter that is gone keeps its value: a master that was started again knows none.
+pub(super) struct ParameterWatch<'a> {
+    master: &'a Master,
+    node: String,
+    seen: BTreeMap<String, Value>,
+    config: Config,
+}
+
+impl<'a> ParameterWatch<'a> {
+    /// For a node that runs with `config`, which it has from its parameters.
+    pub(super) fn new(master: &'a Master, node: &str, config: &Config) -> Result<Self, NodeError> {
+        let seen = leaves(&params::private_parameters(master, node)?);
+        Ok(Self { master, node: node.into(), seen, config: config.clone() })
+    }
+
+    /// The changes since the last look, each with its name and its value or with why it is refused. A master that does not answer
+    /// has changed nothing.
+    pub(super) fn look(&mut self) -> Vec<(String, Result<Change, String>)> {
+        match params::private_parameters(self.master, &self.node) {
+            Ok(tree) => self.compare(leaves(&tree)),
+            Err(_) => Vec::new(),
+        }
+    }
+
+    fn compare(&mut self, found: BTreeMap<String, Value>) -> Vec<(String, Result<Change, String>)> {
+        let mut changes = Vec::new();
+        for (path, value) in found {
+            if self.seen.get(&path) != Some(&value) {
+                changes.extend(self.change(&path, &value).map(|change| (format!("{path} = {value}"), change)));
+                self.seen.insert(path, value);
+            }
+        }
+        changes
+    }
+
+    /// `None`: it is what it was, said in another way.
+    fn change(&mut self, path: &str, value: &Value) -> Option<Result<Change, String>> {
+        let mut config = self.config.clone();
+        if let Err(error) = config.set(path, value, &format!("parameters of {}", self.node)) {
+            return Some(Err(error.to_string()));
+        }
+        if config == self.config {
+            return None;
+        }
+        if !LIVE.contains(&path) {
+            return Some(Err(format!("it takes effect when the node is started again; at once do: {}", LIVE.join(", "))));
+        }
+        let change = match path {
+            "publish_tf" => Change::PublishTransform(config.frames.publish_tf),
+            "matching.max_iterations" => Change::Matching(MatchingChange::MaxIterations(config.matching.max_iterations)),
+            _ => match Contract::try_from(&config.contract) {
+                Ok(contract) => Change::Matching(MatchingChange::Contract(contract)),
+                Err(error) => return Some(Err(error.to_string())),
+            },
+        };
+        self.config = config;
+        Some(Ok(change))
+    }
+}
+
+/// The values of a tree of parameters by their paths.
+fn leaves(tree: &Value) -> BTreeMap<String, Value> {
+    let mut found = BTreeMap::new();
+    let mut left = vec![(String::new(), tree)];
+    while let Some((prefix, tree)) = left.pop() {
+        match tree {
+            Value::Object(entries) => {
+                let path = |name: &String| if prefix.is_empty() { name.clone() } else { format!("{prefix}.{name}") };
+                left.extend(entries.iter().map(|(name, value)| (path(name), value)));
+            }
+            Value::Null => {}
+            value => {
+                found.insert(prefix, value.clone());
+            }
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+    use std::time::Duration;
+
+    fn watch<'a>(master: &'a Master, tree: &Value) -> ParameterWatch<'a> {
+        let mut config = Config::default();
+        config.set_tree(tree, "test").unwrap();
+        ParameterWatch { master, node: "/node".into(), seen: leaves(tree), config }
+    }
+
+    #[test]
+    fn some_changes_take_effect_and_others_are_refused() {
+        let master = Master::new("http://localhost:1", "/node", "").unwrap();
+        let mut watch = watch(&master, &json!({"contract": {"time_budget": "5ms"}, "matching": {"solver": "linearized"}}));
+        let mut look = |tree: Value| watch.compare(leaves(&tree));
+        assert_eq!(look(json!({"contract": {"time_budget": "5ms"}})), []);
+        assert_eq!(look(json!({"contract": {"time_budget": 0.005}})), [], "the same in another way");
+        let changes = look(json!({"contract": {"time_budget": 0.007}}));
+        let [(name, Ok(Change::Matching(MatchingChange::Contract(contract))))] = &changes[..] else { panic!("{changes:?}") };
+        assert_eq!((name.as_str(), contract.time_budget), ("contract.time_budget = 0.007", Some(Duration::from_millis(7))));
+        let changes = look(json!({"publish_tf": false, "matching": {"max_iterations": 3}}));
+        let changes: Vec<Change> = changes.into_iter().map(|(_, change)| change.unwrap()).collect();
+        assert_eq!(changes, [Change::Matching(MatchingChange::MaxIterations(3)), Change::PublishTransform(false)]);
+        for (tree, remedy) in [
+            (json!({"matching": {"solver": "point_to_line"}}), "started again"),
+            (json!({"matching": {"max_iterations": 0}}), "expected 1 to 1000"),
+            (json!({"matching": {"max_iteration": 4}}), "did you mean"),
+            (json!({"config": "other.yaml"}), "there is no parameter 'config'"),
+        ] {
+            let [(_, Err(problem))] = &look(tree.clone())[..] else { panic!("{tree}") };
+            assert!(problem.contains(remedy), "{problem}");
+            assert_eq!(look(tree), [], "it is said once");
+        }
+        assert_eq!(look(Value::Null), [], "a master that was started again");
+    }
+}

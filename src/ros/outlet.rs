@@ -1,0 +1,31 @@
+//! The sending end of a topic, for this project's own message types.
+
+use rosrust::RawMessageDescription;
+use rosrust::api::Ros;
+use serde::Serialize;
+
+use super::NodeError;
+use super::master::Role;
+use super::publishers::Output;
+use crate::messages::{Message, encode};
+
+/// A topic that messages of one type leave by.
+pub(super) struct Outlet<T>(Output<T>);
+
+impl<T: Message + Serialize> Outlet<T> {
+    pub(super) fn new(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
+        let description =
+            RawMessageDescription { msg_definition: T::full_definition(), md5sum: T::MD5.into(), msg_type: T::TYPE.into() };
+        Ok(Self(Output::described(ros, topic, description)?))
+    }
+
+    /// Hands a message over, if anybody listens; what it takes to make it is spent only then.
+    pub(super) fn send(&self, message: impl FnOnce() -> T) {
+        // Cannot fail: it writes to memory.
+        self.0.send_bytes(|| encode(&message()).unwrap_or_default());
+    }
+
+    pub(super) fn role(&self) -> Role {
+        self.0.role()
+    }
+}

@@ -1,0 +1,259 @@
+//! The simulated car on the ROS graph.
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+use rand_pcg::Pcg64;
+use rosrust::api::{Master, Ros};
+use serde::Deserialize;
+
+use super::beat::Beat;
+use super::ground::Ground;
+use super::{RacecarSimKnobs, face};
+use crate::anytime::clock::{Clock, MonotonicClock};
+use crate::app::planar_pose;
+use crate::geometry::Pose2;
+use crate::messages::ackermann_msgs::AckermannDriveStamped;
+use crate::messages::geometry_msgs::{Pose, PoseStamped, PoseWithCovarianceStamped, Twist};
+use crate::messages::nav_msgs::Odometry;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::tf2_msgs::TFMessage;
+use crate::messages::{Message, decode};
+use crate::ros::NodeError;
+use crate::ros::inlet::{Letter, Topic, listen};
+use crate::ros::links::Links;
+use crate::ros::log::{Log, ROSOUT, Throttle};
+use crate::ros::master::{MasterLink, Role};
+use crate::ros::outlet::Outlet;
+use crate::ros::shutdown::StopSignal;
+use crate::simulation::car::Car;
+use crate::simulation::driver::Driver;
+use crate::simulation::lidar::{Lidar, LidarKnobs};
+use crate::simulation::vehicle::{Command, VehicleKnobs};
+use crate::simulation::world::World;
+use crate::time::Stamp;
+
+/// A machine that was asleep does not make the car drive on blindly for longer than this, s.
+const LONGEST_STEP: f64 = 0.1;
+/// Slower than this a car that is told a yaw rate cannot turn, m/s.
+const LEAST_TURNING_SPEED: f64 = 1e-3;
+
+/// What it hears.
+#[derive(Clone, Copy, Debug)]
+enum Input {
+    Drive,
+    Velocity,
+    Pose,
+    InitialPose,
+}
+
+impl Input {
+    const ALL: [Self; 4] = [Self::Drive, Self::Velocity, Self::Pose, Self::InitialPose];
+
+    fn topic(self) -> Topic {
+        match self {
+            Self::Drive => Topic::of::<AckermannDriveStamped>("drive"),
+            Self::Velocity => Topic::of::<Twist>("cmd_vel"),
+            Self::Pose => Topic::of::<PoseStamped>("pose"),
+            Self::InitialPose => Topic::of::<PoseWithCovarianceStamped>("initialpose"),
+        }
+    }
+}
+
+/// What it says.
+struct Outlets {
+    scan: Outlet<LaserScan>,
+    odometry: Outlet<Odometry>,
+    truth: Outlet<PoseStamped>,
+    transforms: Outlet<TFMessage>,
+}
+
+impl Outlets {
+    fn new(ros: &Ros) -> Result<Self, NodeError> {
+        Ok(Self {
+            scan: Outlet::new(ros, "scan")?,
+            odometry: Outlet::new(ros, "odom")?,
+            truth: Outlet::new(ros, "gt_pose")?,
+            transforms: Outlet::new(ros, "/tf")?,
+        })
+    }
+
+    fn roles(&self) -> [Role; 4] {
+        [self.scan.role(), self.odometry.role(), self.truth.role(), self.transforms.role()]
+    }
+}
+
+pub(super) struct Simulator<'a> {
+    ros: &'a Ros,
+    clock: Arc<dyn Clock>,
+    master: MasterLink<'a>,
+    letters: Receiver<(Input, Letter)>,
+    outlets: Outlets,
+    world: &'a dyn World,
+    car: Car<'a>,
+    lidar: Lidar<'a>,
+    base_from_laser: Pose2,
+    wheelbase: f64,
+    driver: Option<Driver<'a>>,
+    command: Command,
+    poses: Beat,
+    scans: Beat,
+    /// Numbers of the last pose and scan, for the headers.
+    numbers: (u32, u32),
+    log: Log,
+    throttle: Throttle,
+    // Dropping it ends what it hears.
+    _links: Links<'a>,
+}
+
+impl<'a> Simulator<'a> {
+    pub(super) fn start(
+        ros: &'a Ros,
+        master: &'a Master,
+        knobs: &RacecarSimKnobs,
+        (ground, vehicle, lidar): (&'a Ground, &'a VehicleKnobs, &'a LidarKnobs),
+    ) -> Result<Self, NodeError> {
+        let log = Log::new(ros)?;
+        let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
+        let outlets = Outlets::new(ros)?;
+        let (sender, letters) = channel();
+        let links = Links::new(ros, &clock, &log)?;
+        for input in Input::ALL {
+            let sender = sender.clone();
+            // Nobody listens any more when the node is ending.
+            listen(&links, input.topic(), move |letter| drop(sender.send((input, letter))))?;
+        }
+        let mut roles: Vec<Role> = Input::ALL.map(|input| input.topic().role()).into();
+        roles.extend(outlets.roles());
+        roles.push(Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() });
+        let master = MasterLink::new(ros, master, roles, &log)?;
+        let RacecarSimKnobs { world, rate, scan_rate, wheelbase, seed, .. } = knobs;
+        log.info(&format!("simulates a racecar in {world}: poses at {rate} Hz, scans at {scan_rate} Hz"));
+        let now = clock.now();
+        Ok(Self {
+            ros,
+            clock,
+            master,
+            letters,
+            outlets,
+            world: ground.world.as_ref(),
+            car: Car::new(ground.world.as_ref(), vehicle, ground.start()),
+            lidar: Lidar::new(lidar, Pcg64::new((*seed).into(), 1)),
+            base_from_laser: lidar.laser_in_base,
+            wheelbase: *wheelbase,
+            driver: ground.driver(knobs),
+            command: Command::default(),
+            poses: Beat::new(*rate, now),
+            scans: Beat::new(*scan_rate, now),
+            numbers: (0, 0),
+            log,
+            throttle: Throttle::default(),
+            _links: links,
+        })
+    }
+
+    /// Until somebody wants it to stop.
+    pub(super) fn run(mut self, stop: &StopSignal) {
+        let mut last = self.clock.now();
+        let mut looks = Beat::new(1.0, last);
+        while !stop.wait(Duration::ZERO) && self.ros.is_ok() {
+            let now = self.clock.now();
+            self.drive_on(now.saturating_sub(last).as_secs_f64().min(LONGEST_STEP));
+            last = now;
+            self.publish(now);
+            if looks.is_due(now) {
+                self.master.check();
+            }
+            let rest = self.poses.next().min(self.scans.next()).saturating_sub(self.clock.now());
+            if let Ok((input, letter)) = self.letters.recv_timeout(rest) {
+                self.handle(input, &letter);
+            }
+        }
+    }
+
+    fn drive_on(&mut self, seconds: f64) {
+        if let Some(driver) = &mut self.driver {
+            self.command = driver.command(&self.car.map_from_base(), self.car.twist().vx);
+        }
+        self.car.step(self.command, seconds);
+    }
+
+    /// What is due now, all of it with the same stamp.
+    fn publish(&mut self, now: Duration) {
+        let time = self.ros.now();
+        let (stamp, pose, twist) = (Stamp::from_ros(time.sec, time.nsec), self.car.map_from_base(), self.car.twist());
+        if self.poses.is_due(now) {
+            self.numbers.0 = self.numbers.0.wrapping_add(1);
+            let number = self.numbers.0;
+            self.outlets.truth.send(|| face::ground_truth(number, pose));
+            self.outlets.odometry.send(|| face::odometry(number, stamp, pose, twist));
+            self.outlets.transforms.send(|| face::transforms(number, stamp, pose, self.base_from_laser));
+        }
+        if self.scans.is_due(now) {
+            self.numbers.1 = self.numbers.1.wrapping_add(1);
+            let (number, world, lidar) = (self.numbers.1, self.world, &mut self.lidar);
+            self.outlets.scan.send(|| face::scan(number, lidar.scan(|_| world, |_| pose, stamp)));
+        }
+    }
+
+    fn handle(&mut self, input: Input, letter: &Letter) {
+        match input {
+            Input::Drive => {
+                if let Some(message) = self.read::<AckermannDriveStamped>(letter) {
+                    let curvature = f64::from(message.drive.steering_angle).tan() / self.wheelbase;
+                    self.obey(Command { speed: message.drive.speed.into(), curvature });
+                }
+            }
+            Input::Velocity => {
+                if let Some(Twist { linear, angular }) = self.read(letter) {
+                    let speed = linear.x;
+                    let curvature = if speed.abs() < LEAST_TURNING_SPEED { 0.0 } else { angular.z / speed };
+                    self.obey(Command { speed, curvature });
+                }
+            }
+            Input::Pose => {
+                if let Some(message) = self.read::<PoseStamped>(letter) {
+                    self.teleport(&message.pose);
+                }
+            }
+            Input::InitialPose => {
+                if let Some(message) = self.read::<PoseWithCovarianceStamped>(letter) {
+                    self.teleport(&message.pose.pose);
+                }
+            }
+        }
+    }
+
+    fn read<T: Message + for<'de> Deserialize<'de>>(&mut self, letter: &Letter) -> Option<T> {
+        let refused = |error| self.warn(T::TYPE, &format!("a message from {} is refused: {error}", letter.sender));
+        decode(&letter.bytes).map_err(refused).ok()
+    }
+
+    /// Who gives a command takes the wheel.
+    fn obey(&mut self, command: Command) {
+        if !(command.speed.is_finite() && command.curvature.is_finite()) {
+            return self.warn("drive", "the command has numbers that are not finite");
+        }
+        self.driver = None;
+        self.command = command;
+    }
+
+    fn teleport(&mut self, pose: &Pose) {
+        match planar_pose(pose) {
+            Ok(map_from_base) => {
+                self.car.teleport(map_from_base);
+                if let Some(driver) = &mut self.driver {
+                    driver.find(map_from_base.translation());
+                }
+            }
+            Err(error) => self.warn("pose", &error.to_string()),
+        }
+    }
+
+    fn warn(&mut self, subject: &'static str, text: &str) {
+        if self.throttle.allows(subject, self.clock.now()) {
+            self.log.warn(&format!("{subject}: {text}"));
+        }
+    }
+}
