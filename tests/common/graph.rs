@@ -308,6 +308,11 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
+        // What roslaunch has started is in groups of its own: only roslaunch can end it.
+        if self.is_running() {
+            self.signal("INT");
+            self.exit_code(PATIENCE);
+        }
         if self.is_running() {
             self.signal_group("KILL");
             let _ = self.child.wait();
