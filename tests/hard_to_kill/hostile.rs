@@ -90,7 +90,9 @@ fn twenty_thousand_mutated_messages_change_nothing_for_the_next_good_one() {
     let seconds = usize::try_from(start.elapsed().as_secs()).unwrap() + 2;
     for topic in ["scan", "odom", "icp_contract", "/tf"] {
         let told = bench.node.log().matches(&format!("/scan_matcher: {topic}: a message from")).count();
-        assert!((1..=seconds).contains(&told), "{topic}: {told} times in {seconds} s");
+        // Of scans, other complaints may have come first.
+        let least = usize::from(topic != "scan");
+        assert!((least..=seconds).contains(&told), "{topic}: {told} times in {seconds} s");
     }
     // Odometry and scans may have led it anywhere; from here on it matches again.
     assert!((0..40).any(|_| bench.step().1.ok), "{}", bench.node.log());
@@ -108,6 +110,7 @@ fn absurd_lengths_cost_a_connection_and_nothing_else() {
     }
     bench.node.expect_log(&format!("it announces a message of {} bytes", u32::MAX));
     send(&mut bench.scans, &EndlessScan::new(1, 0.1));
+    bench.node.expect_log("scan: a message from /lidar is refused"); // before a newer one takes its place
     bench.check_step();
     let mut diagnostics = Listener::new(&bench.graph, "/diagnostics");
     assert_eq!((0..5).map(|_| refused(&mut diagnostics)).max(), Some(4));
