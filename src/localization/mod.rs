@@ -6,6 +6,7 @@
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // particles live in single precision, within the map
 
 mod estimate;
+mod evidence;
 pub mod filter;
 pub mod motion;
 pub mod observation;
@@ -14,6 +15,8 @@ mod recovery;
 mod resampling;
 pub mod sensor;
 mod streams;
+mod update;
+mod workers;
 
 use crate::raycasting::RayCasting;
 

@@ -15,6 +15,7 @@ mod ray_marching;
 mod table;
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use crate::geometry::Pose2;
 use crate::map::grid::OccupancyGrid;
@@ -94,6 +95,12 @@ impl Fan {
     pub fn new(angles: impl IntoIterator<Item = f64>) -> Self {
         let beam = |angle: f64| Beam { turn: turn(angle), x: angle.cos() as f32, y: angle.sin() as f32 };
         Self { beams: angles.into_iter().map(beam).collect() }
+    }
+
+    /// Some of the beams, by their numbers.
+    #[must_use]
+    pub fn part(&self, beams: Range<usize>) -> Self {
+        Self { beams: self.beams[beams].to_vec() }
     }
 
     /// Number of beams.

@@ -10,25 +10,15 @@ use serde_json::{Value, json};
 
 use super::{ReplayLog, Topics, feed, microseconds};
 use crate::anytime::clock::Clock;
-use crate::app::localizer::{Localizer, NoEvidence};
+use crate::anytime::interrupt::Never;
+use crate::app::localizer::{Fix, Localizer};
 use crate::evaluation::association::MatchedPose;
 use crate::evaluation::statistics::{PoseErrors, percentile};
 use crate::evaluation::trajectory::StampedPose;
 use crate::io::bag::{Bag, BagError};
-use crate::localization::filter::Belief;
+use crate::matching::StopReason;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::time::Stamp;
-
-/// What the filter made of a scan.
-#[derive(Clone, Debug)]
-pub struct Localized {
-    /// The scan's stamp.
-    pub stamp: Stamp,
-    /// The belief, or why the scan was of no use.
-    pub belief: Result<Belief, NoEvidence>,
-    /// How long it took.
-    pub elapsed: Duration,
-}
 
 /// Localizes a robot by a bag. `on_answer` gets the answer to each scan; `on_message` is called for every message read. An error of
 /// `on_answer` ends the replay.
@@ -38,15 +28,16 @@ pub fn localize<E: From<BagError>>(
     localizer: &mut Localizer,
     clock: &dyn Clock,
     on_message: impl FnMut(),
-    mut on_answer: impl FnMut(&Localized) -> Result<(), E>,
+    mut on_answer: impl FnMut(&Fix) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
     feed(bag, topics, localizer, on_message, |message, localizer, log| {
+        let arrival = clock.now();
         match message.decode::<LaserScan>() {
             Ok(scan) => {
-                let arrival = clock.now();
-                let belief = localizer.on_scan(&scan);
-                let elapsed = clock.now().saturating_sub(arrival);
-                on_answer(&Localized { stamp: scan.header.stamp.into(), belief, elapsed })?;
+                let mut fix = localizer.on_scan(&scan, arrival);
+                localizer.conclude(&mut fix);
+                on_answer(&fix)?;
+                localizer.maintain(&Never);
             }
             Err(error) => log.note(&error),
         }
@@ -54,7 +45,7 @@ pub fn localize<E: From<BagError>>(
     })
 }
 
-const HEADER: [&str; 12] = [
+const HEADER: [&str; 14] = [
     "stamp",
     "x_m",
     "y_m",
@@ -65,7 +56,9 @@ const HEADER: [&str; 12] = [
     "share",
     "particles",
     "effective",
+    "beams",
     "fit",
+    "stop_reason",
     "elapsed_us",
 ];
 
@@ -83,7 +76,7 @@ impl<W: Write> BeliefFile<W> {
     }
 
     /// Writes the line of one scan; a scan that was of no use has none.
-    pub fn write(&mut self, answer: &Localized) -> csv::Result<()> {
+    pub fn write(&mut self, answer: &Fix) -> csv::Result<()> {
         let Ok(belief) = &answer.belief else { return Ok(()) };
         let pose = &belief.map_from_base;
         let mut record = vec![answer.stamp.to_string()];
@@ -91,7 +84,8 @@ impl<W: Write> BeliefFile<W> {
         record.extend([0, 1, 2].map(|i| format!("{:.6}", belief.covariance[(i, i)].max(0.0).sqrt())));
         record.push(format!("{:.4}", belief.share));
         record.push(belief.particles.to_string());
-        record.extend([format!("{:.1}", belief.effective), format!("{:.5}", belief.fit)]);
+        record.extend([format!("{:.1}", belief.effective), belief.beams.to_string(), format!("{:.5}", belief.fit)]);
+        record.push(answer.stop_reason.map_or("", StopReason::name).into());
         record.push(format!("{:.3}", microseconds(answer.elapsed)));
         self.writer.write_record(record)?;
         Ok(self.writer.flush()?)
@@ -108,12 +102,15 @@ pub struct LocalizationSummary {
     found: Option<Stamp>,
     particles: usize,
     effective: f64,
+    beams: usize,
+    late: usize,
+    worst_overrun: Duration,
     useless: BTreeMap<String, usize>,
 }
 
 impl LocalizationSummary {
     /// Takes an answer; tells its pose, if it has one.
-    pub fn add(&mut self, answer: &Localized) -> Option<StampedPose> {
+    pub fn add(&mut self, answer: &Fix) -> Option<StampedPose> {
         match &answer.belief {
             Ok(belief) => {
                 let pose = StampedPose { stamp: answer.stamp, pose: belief.map_from_base };
@@ -125,6 +122,9 @@ impl LocalizationSummary {
                 }
                 self.particles += belief.particles;
                 self.effective += belief.effective;
+                self.beams += belief.beams;
+                self.late += usize::from(!answer.overrun().is_zero());
+                self.worst_overrun = self.worst_overrun.max(answer.overrun());
                 Some(pose)
             }
             Err(problem) => {
@@ -140,9 +140,10 @@ impl LocalizationSummary {
         &self.poses
     }
 
-    fn means(&self) -> (f64, f64) {
+    /// Particles, how many of them are effective, and beams.
+    fn means(&self) -> (f64, f64, f64) {
         let scans = self.poses.len().max(1) as f64;
-        (self.particles as f64 / scans, self.effective / scans)
+        (self.particles as f64 / scans, self.effective / scans, self.beams as f64 / scans)
     }
 
     fn times(&self) -> [f64; 3] {
@@ -157,13 +158,16 @@ impl LocalizationSummary {
 
     /// One JSON object. `errors` are those against the truth, in the map: nothing is aligned.
     pub fn to_json(&self, errors: Option<&PoseErrors>, problems: &[String]) -> Value {
-        let ([p50, p99, max], (particles, effective)) = (self.times(), self.means());
+        let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         json!({
             "scans": self.poses.len(),
             "localized": self.localized,
             "localized_after_s": self.seconds_to_find(),
             "mean_particles": particles,
             "mean_effective_particles": effective,
+            "mean_beams": beams,
+            "deadline_misses": self.late,
+            "worst_overrun_us": microseconds(self.worst_overrun),
             "time_us": {"p50": p50, "p99": p99, "max": max},
             "position_rmse_m": errors.map(|errors| errors.trans_m.rmse),
             "position_max_m": errors.map(|errors| errors.trans_m.max),
@@ -176,7 +180,7 @@ impl LocalizationSummary {
 
     /// A table for people.
     pub fn to_text(&self, errors: Option<&PoseErrors>, problems: &[String]) -> String {
-        let ([p50, p99, max], (particles, effective)) = (self.times(), self.means());
+        let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
         table.add_row(["scans", &self.poses.len().to_string()]);
@@ -185,8 +189,12 @@ impl LocalizationSummary {
         }
         let found = self.seconds_to_find().map_or("never".into(), |seconds| format!("after {seconds:.2} s"));
         table.add_row(["localized", &format!("{} scans, first {found}", self.localized)]);
-        table.add_row(["particles", &format!("{particles:.0}, {effective:.0} of them effective")]);
+        table.add_row(["particles", &format!("{particles:.0}, {effective:.0} of them effective; {beams:.0} beams")]);
         table.add_row(["time per scan", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
+        if self.late > 0 {
+            let worst = microseconds(self.worst_overrun);
+            table.add_row(["late", &format!("{} answers, the worst by {worst:.0} us", self.late)]);
+        }
         if let Some(PoseErrors { trans_m, rot_deg, .. }) = errors {
             table.add_row(["position error", &format!("RMSE {:.4} m, max {:.4} m", trans_m.rmse, trans_m.max)]);
             table.add_row(["heading error", &format!("RMSE {:.4} deg, max {:.4} deg", rot_deg.rmse, rot_deg.max)]);
