@@ -16,7 +16,7 @@ use crate::config::Config;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::localization::filter::{Belief, ParticleFilter};
 use crate::localization::observation::Observation;
-use crate::map::grid::OccupancyGrid;
+use crate::map::grid::{Cell, OccupancyGrid};
 use crate::matching::StopReason;
 use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};
 use crate::messages::nav_msgs::Odometry;
@@ -44,6 +44,9 @@ pub enum LocalizerError {
     /// The contract of the configuration is none.
     #[error(transparent)]
     Contract(#[from] ContractError),
+    /// There is no place for a robot.
+    #[error("no cell of the map is free: are its thresholds right (free_thresh, occupied_thresh), and negate?")]
+    NothingFree,
 }
 
 /// A scan that cannot be used as evidence. The belief stays as it was.
@@ -104,11 +107,11 @@ pub struct Localizer {
 }
 
 impl Localizer {
-    /// A robot that may be anywhere on the map.
+    /// A robot where the configuration says, or that may be anywhere on the map.
     pub fn new(map: OccupancyGrid, config: &Config, clock: Arc<dyn Clock>) -> Result<Self, LocalizerError> {
         let parameter = config.odometry.laser_in_base;
         Ok(Self {
-            filter: ParticleFilter::new(map, &config.localization, &config.motion, &config.sensor)?,
+            filter: filter_on(map, config)?,
             clock,
             costs: CostModel::new(config.contract.confidence),
             contract: Contract::try_from(&config.contract)?,
@@ -146,6 +149,21 @@ impl Localizer {
         }
         self.costs.learn();
         self.filter.begin_anew();
+        begin(&mut self.filter, &self.config);
+    }
+
+    /// Another map of the same place: the robot is where it was.
+    pub fn replace_map(&mut self, map: OccupancyGrid) -> Result<(), LocalizerError> {
+        self.filter = filter_on(map, &self.config)?;
+        if let Some((_, map_from_base)) = self.last {
+            self.filter.start_at(&map_from_base, None);
+        }
+        Ok(())
+    }
+
+    /// Transforms that came before the map did.
+    pub fn set_transforms(&mut self, transforms: TransformTree) {
+        self.transforms = transforms;
     }
 
     /// Takes a scan that arrived when the clock read `arrival`: moves the particles to its time, and corrects them by it.
@@ -241,6 +259,11 @@ impl Localizer {
             Some(motion) => Some(pose * motion.inverse()),
             None => Some(pose * self.wheel.motion(last, stamp)?),
         }
+    }
+
+    /// Velocity of the base: the motion between the last two scans.
+    pub fn twist(&self) -> Twist2 {
+        self.twist
     }
 
     /// Stamp of the newest odometry.
@@ -364,5 +387,21 @@ impl Localizer {
             Some(_) => Ok(()),
             None => Err(InputError::OutsideMap { x: map_from_base.x, y: map_from_base.y }),
         }
+    }
+}
+
+fn filter_on(map: OccupancyGrid, config: &Config) -> Result<ParticleFilter, LocalizerError> {
+    if !map.cells().contains(&Cell::Free) {
+        return Err(LocalizerError::NothingFree);
+    }
+    let mut filter = ParticleFilter::new(map, &config.localization, &config.motion, &config.sensor)?;
+    begin(&mut filter, config);
+    Ok(filter)
+}
+
+/// Puts the robot where the configuration says; without a word of it, the robot may be anywhere.
+fn begin(filter: &mut ParticleFilter, config: &Config) {
+    if let Some(map_from_base) = &config.localization.initial_pose {
+        filter.start_at(map_from_base, None);
     }
 }

@@ -1,6 +1,7 @@
 //! The application: messages in, estimates out. The node and the offline tool both drive this, so that a replay is what ran live.
 
 pub mod localizer;
+pub mod map_message;
 mod warm_up;
 
 use std::path::Path;

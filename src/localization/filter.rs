@@ -366,7 +366,7 @@ impl ParticleFilter {
     }
 
     /// Poses of the particles, in the map.
-    pub fn poses(&self) -> impl Iterator<Item = Pose2> + '_ {
+    pub fn poses(&self) -> impl ExactSizeIterator<Item = Pose2> + '_ {
         (0..self.particles.len()).map(|index| {
             let [x, y, theta] = self.particles.pose(index).map(f64::from);
             self.grid.pose_in_map(&Pose2::new(x, y, theta))

@@ -18,13 +18,21 @@ mod streams;
 mod update;
 mod workers;
 
+use crate::geometry::Pose2;
+use crate::knobs::Seconds;
 use crate::raycasting::RayCasting;
 
 crate::knobs! {
     /// The particle filter.
     pub struct LocalizationKnobs {
+        /// The map: a YAML file of `map_server`; unset: the node takes the one on the topic `map`.
+        map: Option<String> = None;
         /// The frame of the map.
         map_frame: String = "map".into();
+        /// Where the base is at the start, `[x, y, yaw]` on the map; unset: it may be anywhere.
+        initial_pose: Option<Pose2> = None, unit "m, m, rad";
+        /// A timer with this period drives the updates, each with the latest scan, if it is new, and odometry; 0: every scan does.
+        update_period: Seconds = Seconds(0.0), in 0 to 10, unit "s";
         /// Particles, when the robot knows where it is.
         particles: u32 = 4000, in 10 to 1_000_000;
         /// While the cloud is compact, as few as this will do (KLD sampling); unset: always `particles`.

@@ -1,8 +1,8 @@
-//! The ROS 1 nodes: the one around [`App`](crate::app::App), and a controller for it. Nothing else in this project knows of rosrust.
+//! The ROS 1 nodes: the one around [`App`](crate::app::App), a controller for it, and the particle filter. Nothing else in this project knows of rosrust.
 //!
 //! ```text
 //!  rosrust's threads          matching thread               main thread
-//!  subscriptions --> mailbox --> matcher --> publishers     node: signals, diagnostics at 1 Hz, the master
+//!  subscriptions --> mailbox --> matcher --> publishers     supervisor: signals, diagnostics at 1 Hz, the master
 //! ```
 //!
 //! Invariants: callbacks only note the arrival and fill the `mailbox`, so that nothing that is slow ever delays reception; a scan is
@@ -20,12 +20,14 @@ mod master;
 mod matcher;
 mod node;
 mod params;
+pub mod particle_filter;
 mod path;
 mod priority;
 mod publishers;
 mod shell;
 mod shutdown;
 mod subscriptions;
+mod supervisor;
 
 pub use node::run;
 

@@ -1,23 +1,20 @@
-//! The node as a whole: puts the parts together and looks after them.
+//! The scan matcher as a whole: puts the parts together.
 
 use std::sync::Arc;
-use std::thread;
-use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
-use rosrust::{Service, Subscriber};
-use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
-use super::diagnostics::{self, Diagnostics, Monitor};
+use super::diagnostics::{Diagnostics, Monitor, Task};
 use super::interrupts::Interrupts;
-use super::log::{Log, ROSOUT};
-use super::mailbox::{Event, Mailbox};
-use super::master::{Change, MasterLink, Role, resolved};
+use super::log::Log;
+use super::mailbox::Mailbox;
+use super::master::resolved;
 use super::matcher::Matcher;
 use super::publishers::Publishers;
 use super::shutdown::StopSignal;
 use super::subscriptions::{Input, subscribe};
+use super::supervisor::{self, Call, Parts, Supervisor};
 use super::{params, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
@@ -25,9 +22,8 @@ use crate::app::App;
 use crate::config::Config;
 
 const NAME: &str = "scan_matcher";
-const RESET: &str = "~reset";
-/// How often the node looks whether it is to stop.
-const TICK: Duration = Duration::from_millis(100);
+const RESET: Call = Call { name: "~reset", answer: "the next scan is the first one, at the initial pose" };
+const TASK: Task = Task { title: "scan matching", doing: "matching", done: "matched" };
 
 /// Runs the node `scan_matcher` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
 /// parameters.
@@ -37,88 +33,33 @@ pub fn run() -> Result<(), NodeError> {
 
 fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
     let config = params::read(master, ros.name())?;
-    Node::start(ros, master, &config)?.supervise(stop);
+    start(ros, master, &config)?.run(stop);
     Ok(())
 }
 
-struct Node<'a> {
-    ros: &'a Ros,
-    clock: Arc<dyn Clock>,
-    mailbox: Arc<Mailbox>,
-    monitor: Arc<Monitor>,
-    diagnostics: Diagnostics,
-    master: MasterLink<'a>,
-    matching: thread::JoinHandle<()>,
-    log: Log,
-    // Dropping these ends them.
-    _subscribers: Vec<Subscriber>,
-    reset: Option<Service>,
-}
+fn start<'a>(ros: &'a Ros, master: &'a Master, config: &Config) -> Result<Supervisor<'a, Input>, NodeError> {
+    let log = Log::new(ros)?;
+    let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
+    let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
+    let interrupts = Arc::new(Interrupts::new(config.contract.shared_memory.as_deref())?);
+    let mut app = App::new(config, Arc::clone(&clock))?;
+    app.warm_up()?;
+    app.set_interrupt(Arc::clone(&interrupts) as Arc<_>);
+    let publishers = Publishers::new(ros, config.frames.publish_tf)?;
+    let diagnostics = Diagnostics::new(ros, TASK)?;
+    let mut roles = publishers.roles();
+    roles.extend(Input::ALL.map(|input| input.topic().role()));
+    let contract = app.contract();
 
-impl<'a> Node<'a> {
-    fn start(ros: &'a Ros, master: &'a Master, config: &Config) -> Result<Self, NodeError> {
-        let log = Log::new(ros)?;
-        let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
-        let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
-        let interrupts = Arc::new(Interrupts::new(config.contract.shared_memory.as_deref())?);
-        let mut app = App::new(config, Arc::clone(&clock))?;
-        app.warm_up()?;
-        app.set_interrupt(Arc::clone(&interrupts) as Arc<_>);
-        let publishers = Publishers::new(ros, config.frames.publish_tf)?;
-        let diagnostics = Diagnostics::new(ros)?;
-        let mut roles = publishers.roles();
-        roles.extend(Input::ALL.map(|input| input.topic().role()));
-        roles.extend([diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
-        let contract = app.contract();
-
-        let (in_box, time) = (Arc::clone(&mailbox), Arc::clone(&clock));
-        let matcher = Matcher::new(app, publishers, in_box, Arc::clone(&interrupts), time, Arc::clone(&monitor), log.clone());
-        let matching = thread::Builder::new()
-            .name("matching".into())
-            .spawn(|| matcher.run())
-            .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
-        let subscribers = Input::ALL.map(|input| subscribe(ros, input, &mailbox, &interrupts, &clock, &log));
-        let subscribers = subscribers.into_iter().collect::<Result<_, _>>()?;
-        let reset = Some(offer_reset(ros, &mailbox)?);
-        let master = MasterLink::new(ros, master, roles, &log)?;
-        announce(ros, &log, config, &contract)?;
-        Ok(Self { ros, clock, mailbox, monitor, diagnostics, master, matching, log, _subscribers: subscribers, reset })
-    }
-
-    /// Once a second: the master and the diagnostics. Until somebody wants the node to stop.
-    fn supervise(mut self, stop: &StopSignal) {
-        let mut last = self.clock.now();
-        while !stop.wait(TICK) && self.ros.is_ok() {
-            let elapsed = self.clock.now().saturating_sub(last);
-            if elapsed >= diagnostics::PERIOD {
-                last = self.clock.now();
-                self.look_after_master();
-                let (dropped, present) = (self.mailbox.dropped(), self.master.is_present());
-                self.diagnostics.publish(self.ros, &self.monitor, dropped, present, elapsed.as_secs_f64());
-            }
-        }
-        self.mailbox.close();
-        let _ = self.matching.join(); // a panic there has been reported by now
-    }
-
-    fn look_after_master(&mut self) {
-        if self.master.check() == Change::Returned {
-            self.reset = None; // the old one must be gone before its name can be used again
-            match offer_reset(self.ros, &self.mailbox) {
-                Ok(service) => self.reset = Some(service),
-                Err(error) => self.log.warn(&error.to_string()),
-            }
-        }
-    }
-}
-
-fn offer_reset(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<Service, NodeError> {
-    let mailbox = Arc::clone(mailbox);
-    let handle = move |_| {
-        mailbox.put_event(Event::Reset);
-        Ok(TriggerRes { success: true, message: "the next scan is the first one, at the initial pose".into() })
-    };
-    ros.service::<Trigger, _>(RESET, handle).map_err(|error| NodeError::ros(format!("offer the service '{RESET}'"), &error))
+    let (in_box, time) = (Arc::clone(&mailbox), Arc::clone(&clock));
+    let matcher = Matcher::new(app, publishers, in_box, Arc::clone(&interrupts), time, Arc::clone(&monitor), log.clone());
+    let worker = supervisor::spawn("matching", || matcher.run())?;
+    let subscribers = Input::ALL.map(|input| subscribe(ros, input, &mailbox, &interrupts, &clock, &log));
+    let subscribers = subscribers.into_iter().collect::<Result<_, _>>()?;
+    let parts = Parts { clock, mailbox, monitor, diagnostics, worker, log: log.clone(), subscribers, roles };
+    let supervisor = Supervisor::new(ros, master, parts, RESET)?;
+    announce(ros, &log, config, &contract)?;
+    Ok(supervisor)
 }
 
 /// Says that the node is ready, and what for.
@@ -138,7 +79,8 @@ fn announce(ros: &Ros, log: &Log, config: &Config, contract: &Contract) -> Resul
     Ok(())
 }
 
-fn describe(contract: &Contract) -> String {
+/// A contract in words.
+pub(super) fn describe(contract: &Contract) -> String {
     let limits: Vec<String> = [
         contract.time_budget.map(|budget| format!("within {budget:?}")),
         contract.translation_error_bound.map(|bound| format!("to {bound} m")),

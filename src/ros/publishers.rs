@@ -45,7 +45,7 @@ impl<T: Message> Output<T> {
         self
     }
 
-    fn has_listeners(&self) -> bool {
+    pub(super) fn has_listeners(&self) -> bool {
         self.publisher.subscriber_count() > 0
     }
 

@@ -27,16 +27,16 @@ use crate::progress;
 #[derive(Args)]
 pub(crate) struct Arguments {
     bag: PathBuf,
-    /// The map: a YAML file of `map_server`
+    /// The map: a YAML file of `map_server` [default: `localization.map`]
     #[arg(long, value_name = "M.yaml")]
-    map: PathBuf,
+    map: Option<PathBuf>,
     /// Number of particles [default: `localization.particles`]
     #[arg(long)]
     particles: Option<u32>,
     /// Nothing is known of where the robot starts
     #[arg(long, conflicts_with = "initial_pose")]
     global: bool,
-    /// Where the robot starts, m and rad [default: the first true pose; without a truth, the origin of the map]
+    /// Where the robot starts, m and rad [default: `localization.initial_pose`; else the first true pose; else the origin of the map]
     #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
     initial_pose: Option<Pose2>,
     /// Time from a scan's arrival to its pose, such as 5ms [default: `contract.time_budget`]
@@ -76,11 +76,16 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let bag = Bag::open(&arguments.bag)?;
     let topics = arguments.input.topics(&bag)?;
     let truth = arguments.input.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
-    let mut localizer = Localizer::new(map_file::read(&arguments.map)?, &config, Arc::clone(&clock))?;
+    let map = arguments.map.clone().or(config.localization.map.as_ref().map(PathBuf::from));
+    let map = map.context("there is no map: --map M.yaml, or the parameter localization.map")?;
+    let mut localizer = Localizer::new(map_file::read(&map)?, &config, Arc::clone(&clock))?;
     localizer.warm_up();
-    if !arguments.global {
+    if arguments.global {
+        localizer.spread();
+    } else {
         let first_truth = truth.as_ref().map(|truth| truth.ends().0.pose);
-        localizer.start_at(&arguments.initial_pose.or(first_truth).unwrap_or_default(), None);
+        let start = arguments.initial_pose.or(config.localization.initial_pose).or(first_truth);
+        localizer.start_at(&start.unwrap_or_default(), None);
     }
     let mut tum = arguments.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
     let mut csv = arguments.csv.as_deref().map(create).transpose()?.map(BeliefFile::new).transpose()?;
