@@ -25,7 +25,7 @@ fn main() {
     for &method in &[RayCasting::Cddt, RayCasting::Table, RayCasting::RayMarching] {
         let mut config = Config::default();
         config.localization.threads = 1;
-        config.localization.ray_casting = method;
+        config.localization.ray_casting = Some(method);
         let clock = Arc::new(MonotonicClock::default());
         let mut localizer = Localizer::new(map.clone(), &config, clock).unwrap();
         let (mut times, mut started): (Vec<Duration>, bool) = (Vec::new(), false);

@@ -192,16 +192,13 @@ impl Localizer {
     /// What a scan shows, if it is new.
     fn observe(&mut self, message: &LaserScan) -> Result<Observation, NoEvidence> {
         let stamp = Stamp::from(message.header.stamp);
-        if let Some((last, _)) = self.last {
-            let seconds = stamp.seconds_since(last);
-            if seconds < -NEW_TIME {
-                self.last = None;
-            } else if seconds <= 0.0 {
-                return Err(NoEvidence::NotNewer);
-            }
+        let since_last = self.last.map(|(last, _)| stamp.seconds_since(last));
+        if since_last.is_some_and(|seconds| (-NEW_TIME..=0.0).contains(&seconds)) {
+            return Err(NoEvidence::NotNewer);
         }
         self.update_mount(&message.header.frame_id);
         let scan = self.converter.convert(message, self.mount.upside_down)?;
+        self.last.take_if(|_| since_last.is_some_and(|seconds| seconds < 0.0));
         Ok(Observation::new(&scan, &message.ranges, self.config.sensor.beams as usize))
     }
 

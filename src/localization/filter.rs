@@ -21,7 +21,7 @@ use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 use crate::map::grid::OccupancyGrid;
 use crate::map::indoors::indoor_cells;
 use crate::matching::StopReason;
-use crate::raycasting::{Fan, RayCaster, Viewpoint, turn};
+use crate::raycasting::{Fan, RayCaster, RayCasting, Viewpoint, turn};
 
 /// While the robot may be anywhere, each particle is moved by so much when chosen: no two shall stand for the same pose. Cells, rad.
 const ROUGHENING: (f32, f32) = (1.0, 0.02);
@@ -102,7 +102,10 @@ impl ParticleFilter {
             global_beams: BeamTable::global(sensor, map.resolution()),
             expected_fit: expected_fit(sensor),
             squash: sensor.squash,
-            caster: knobs.ray_casting.caster(&map, sensor.max_range / map.resolution()),
+            caster: knobs
+                .ray_casting
+                .unwrap_or_else(|| RayCasting::fastest_for(&map))
+                .caster(&map, sensor.max_range / map.resolution()),
             indoors: indoor_cells(&map),
             grid: map,
             workers: Workers::new(knobs.threads as usize)?,

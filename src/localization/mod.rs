@@ -53,8 +53,8 @@ crate::knobs! {
         initial_position_error: f64 = 0.3, in 0 to 100, unit "m";
         /// How far its heading may be off.
         initial_heading_error: f64 = 10.0, in 0 to 180, unit "deg";
-        /// How the lengths of beams are found.
-        ray_casting: RayCasting = RayCasting::Cddt;
+        /// How the lengths of beams are found; unset: `table` where it takes at most 256 MB, else `cddt`.
+        ray_casting: Option<RayCasting> = None;
         /// Threads; 0: one for each core. The answer does not depend on it.
         threads: u32 = 0, in 0 to 256;
         /// Another seed: other random numbers.

@@ -1,11 +1,14 @@
 //! Every answer computed beforehand: the lengths from the middle of every cell where a robot can be, in every direction.
-
-use std::f64::consts::TAU;
+//!
+//! The answers are those of a [`Cddt`] with fine strips, which is then given up: it is faster than to march every beam.
 
 use rayon::prelude::*;
 
+use super::cddt::Cddt;
+
 use super::ray_marching::RayMarching;
 use super::{Fan, RayCaster, Viewpoint, sector};
+use crate::geometry::Pose2;
 use crate::map::grid::OccupancyGrid;
 use crate::map::indoors::indoor_cells;
 
@@ -17,6 +20,10 @@ const NOT_LISTED: u32 = u32::MAX;
 const NOTHING: u16 = u16::MAX;
 /// The largest entry that is a length.
 const LONGEST: f32 = 65_000.0;
+/// Strips of the CDDT in the width of a cell.
+const FINENESS: f32 = 2.0;
+/// Cells that are worked on together: from neighbours, in the same direction, the same strips are asked.
+const CELLS: usize = 64;
 
 /// The table.
 pub(super) struct Table {
@@ -39,22 +46,29 @@ impl Table {
         for (block, &index) in listed.iter().enumerate() {
             blocks[index] = block as u32;
         }
-        let directions: Vec<[f32; 2]> = (0..DIRECTIONS)
-            .map(|index| (f64::from(index) * TAU / f64::from(DIRECTIONS)).sin_cos())
-            .map(|(sin, cos)| [cos as f32, sin as f32])
-            .collect();
-        let mut lengths = vec![NOTHING; listed.len() * directions.len()];
-        lengths.par_chunks_exact_mut(directions.len()).zip(&listed).for_each(|(block, index)| {
-            let middle = [index % grid.width(), index / grid.width()].map(|cell| cell as f32 + 1.5);
-            for (entry, &direction) in block.iter_mut().zip(&directions) {
-                let length = others.length(middle, direction);
-                if length.is_finite() {
-                    *entry = (length / unit).min(LONGEST) as u16;
+        let cddt = Cddt::with(grid, max_range, DIRECTIONS, FINENESS);
+        let directions = DIRECTIONS as usize;
+        let mut lengths = vec![NOTHING; listed.len() * directions];
+        lengths.par_chunks_mut(directions * CELLS).zip(listed.par_chunks(CELLS)).for_each(|(entries, cells)| {
+            let middle =
+                |index: &usize| Pose2::new((index % grid.width()) as f64 + 0.5, (index / grid.width()) as f64 + 0.5, 0.0);
+            let middles: Vec<Viewpoint> = cells.iter().map(|index| Viewpoint::new(&middle(index))).collect();
+            for direction in 0..directions {
+                for (entries, middle) in entries.chunks_exact_mut(directions).zip(&middles) {
+                    let length = cddt.length(middle, direction);
+                    if length.is_finite() {
+                        entries[direction] = (length / unit).min(LONGEST) as u16;
+                    }
                 }
             }
         });
         Self { width: grid.width(), blocks, lengths, unit, others }
     }
+}
+
+/// Memory that the table of a map takes, bytes.
+pub(super) fn memory_for(grid: &OccupancyGrid) -> usize {
+    indoor_cells(grid).len() * DIRECTIONS as usize * size_of::<u16>() + grid.cells().len() * size_of::<u32>()
 }
 
 impl RayCaster for Table {

@@ -14,7 +14,8 @@ use anytime_scan_matcher::matching::StopReason;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
 
-use crate::{at_truth, corridor};
+use crate::at_truth;
+use crate::common::corridor;
 
 /// A short drive under a configuration: every answer with its error, and the answers that were late.
 fn drive(assignments: &[&str]) -> (Vec<(Fix, Pose2)>, u64) {
