@@ -5,6 +5,7 @@ pub mod contract;
 pub mod cost_model;
 pub mod interrupt;
 mod refinement;
+pub mod timer;
 
 use std::time::Duration;
 

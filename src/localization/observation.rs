@@ -62,7 +62,7 @@ mod tests {
             Stamp::default(),
             Arc::clone(&geometry),
             (0.1, 30.0),
-            (0..1081).map(|i| 1.0 + 0.01 * f64::from(i)).collect(),
+            (0..1081).map(|i| 1.0 + 0.01 * f64::from(i)).collect::<Vec<_>>(),
         );
         let observation = Observation::new(&scan.unwrap(), &[], 60);
         for first in [4, 8, 15, 30, 60] {

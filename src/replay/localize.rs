@@ -11,38 +11,89 @@ use serde_json::{Value, json};
 use super::{ReplayLog, Topics, feed, microseconds};
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
+use crate::anytime::timer::Timer;
 use crate::app::localizer::{Fix, Localizer};
 use crate::evaluation::association::MatchedPose;
 use crate::evaluation::statistics::{PoseErrors, percentile};
 use crate::evaluation::trajectory::StampedPose;
+use crate::geometry::Pose2;
 use crate::io::bag::{Bag, BagError};
 use crate::matching::StopReason;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::time::Stamp;
 
+/// What became of a scan.
+#[derive(Clone, Debug)]
+pub enum Answer {
+    /// The filter took it in.
+    Fix(Fix),
+    /// A newer one was there when the timer called. Where the robot was then: the last belief, carried on by odometry.
+    Between {
+        /// The scan's stamp.
+        stamp: Stamp,
+        /// The pose of the base.
+        map_from_base: Pose2,
+    },
+}
+
 /// Localizes a robot by a bag. `on_answer` gets the answer to each scan; `on_message` is called for every message read. An error of
-/// `on_answer` ends the replay.
+/// `on_answer` ends the replay. A timer goes by the time of the bag, and each of its calls finds the latest scan.
 pub fn localize<E: From<BagError>>(
     bag: &Bag,
     topics: &Topics,
     localizer: &mut Localizer,
     clock: &dyn Clock,
     on_message: impl FnMut(),
-    mut on_answer: impl FnMut(&Fix) -> Result<(), E>,
+    mut on_answer: impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
-    feed(bag, topics, localizer, on_message, |message, localizer, log| {
+    let mut timer = Timer::new(localizer.config().localization.update_period.0, Duration::ZERO);
+    let mut held: Option<LaserScan> = None;
+    let mut start = None;
+    let log = feed(bag, topics, localizer, on_message, |message, localizer, log| {
         let arrival = clock.now();
-        match message.decode::<LaserScan>() {
-            Ok(scan) => {
-                let mut fix = localizer.on_scan(&scan, arrival);
-                localizer.conclude(&mut fix);
-                on_answer(&fix)?;
-                localizer.maintain(&Never);
+        let scan = match message.decode::<LaserScan>() {
+            Ok(scan) => scan,
+            Err(error) => {
+                log.note(&error);
+                return Ok(());
             }
-            Err(error) => log.note(&error),
+        };
+        let since_start = message.time.seconds_since(*start.get_or_insert(message.time));
+        let now = Duration::try_from_secs_f64(since_start).unwrap_or_default();
+        if !timer.has_period() {
+            return answer(localizer, &scan, arrival, &mut on_answer);
         }
-        Ok(())
-    })
+        let is_due = timer.is_due(now);
+        let Some(earlier) = held.replace(scan) else { return Ok(()) };
+        if is_due { answer(localizer, &earlier, arrival, &mut on_answer) } else { pass_over(localizer, &earlier, &mut on_answer) }
+    })?;
+    if let Some(last) = held {
+        pass_over(localizer, &last, &mut on_answer)?;
+    }
+    Ok(log)
+}
+
+fn answer<E>(
+    localizer: &mut Localizer,
+    scan: &LaserScan,
+    arrival: Duration,
+    on_answer: &mut impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
+) -> Result<(), E> {
+    let mut fix = localizer.on_scan(scan, arrival);
+    localizer.conclude(&mut fix);
+    on_answer(&Answer::Fix(fix), scan)?;
+    localizer.maintain(&Never);
+    Ok(())
+}
+
+fn pass_over<E>(
+    localizer: &Localizer,
+    scan: &LaserScan,
+    on_answer: &mut impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
+) -> Result<(), E> {
+    let stamp = scan.header.stamp.into();
+    let Some(map_from_base) = localizer.carried_to(stamp) else { return Ok(()) };
+    on_answer(&Answer::Between { stamp, map_from_base }, scan)
 }
 
 const HEADER: [&str; 14] = [
@@ -76,7 +127,8 @@ impl<W: Write> BeliefFile<W> {
     }
 
     /// Writes the line of one scan; a scan that was of no use has none.
-    pub fn write(&mut self, answer: &Fix) -> csv::Result<()> {
+    pub fn write(&mut self, answer: &Answer) -> csv::Result<()> {
+        let Answer::Fix(answer) = answer else { return Ok(()) };
         let Ok(belief) = &answer.belief else { return Ok(()) };
         let pose = &belief.map_from_base;
         let mut record = vec![answer.stamp.to_string()];
@@ -98,6 +150,7 @@ pub struct LocalizationSummary {
     poses: Vec<StampedPose>,
     elapsed: Vec<Duration>,
     localized: usize,
+    between: usize,
     /// Stamp of the first scan after which the robot knew where it was.
     found: Option<Stamp>,
     particles: usize,
@@ -110,7 +163,14 @@ pub struct LocalizationSummary {
 
 impl LocalizationSummary {
     /// Takes an answer; tells its pose, if it has one.
-    pub fn add(&mut self, answer: &Fix) -> Option<StampedPose> {
+    pub fn add(&mut self, answer: &Answer) -> Option<StampedPose> {
+        let answer = match answer {
+            Answer::Fix(fix) => fix,
+            &Answer::Between { stamp, map_from_base } => {
+                self.between += 1;
+                return Some(StampedPose { stamp, pose: map_from_base });
+            }
+        };
         match &answer.belief {
             Ok(belief) => {
                 let pose = StampedPose { stamp: answer.stamp, pose: belief.map_from_base };
@@ -161,6 +221,7 @@ impl LocalizationSummary {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         json!({
             "scans": self.poses.len(),
+            "passed_over": self.between,
             "localized": self.localized,
             "localized_after_s": self.seconds_to_find(),
             "mean_particles": particles,
@@ -184,6 +245,9 @@ impl LocalizationSummary {
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
         table.add_row(["scans", &self.poses.len().to_string()]);
+        if self.between > 0 {
+            table.add_row(["passed over", &format!("{}: the timer found newer ones", self.between)]);
+        }
         for (kind, count) in &self.useless {
             table.add_row(["not used", &format!("{count}: {kind}")]);
         }

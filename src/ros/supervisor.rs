@@ -36,7 +36,6 @@ pub(super) struct Parts<I> {
     /// Ends when the mailbox is closed.
     pub(super) worker: JoinHandle<()>,
     pub(super) log: Log,
-    /// Dropping these ends them.
     pub(super) subscribers: Vec<Subscriber>,
     /// How its topics stand in the master's books.
     pub(super) roles: Vec<Role>,
@@ -55,16 +54,19 @@ pub(super) struct Supervisor<'a, I> {
     master: MasterLink<'a>,
     call: Call,
     service: Option<Service>,
+    // Dropping these ends them.
+    _subscribers: Vec<Subscriber>,
 }
 
 impl<'a, I: Send + 'static> Supervisor<'a, I> {
     /// Makes the node known to the master, and offers its service.
     pub(super) fn new(ros: &'a Ros, master: &'a Master, mut parts: Parts<I>, call: Call) -> Result<Self, NodeError> {
         let service = Some(offer(ros, call, &parts.mailbox)?);
+        let _subscribers = std::mem::take(&mut parts.subscribers);
         let mut roles = std::mem::take(&mut parts.roles);
         roles.extend([parts.diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
         let master = MasterLink::new(ros, master, roles, &parts.log)?;
-        Ok(Self { ros, parts, master, call, service })
+        Ok(Self { ros, parts, master, call, service, _subscribers })
     }
 
     /// Once a second: the master and the diagnostics. Until somebody wants the node to stop.

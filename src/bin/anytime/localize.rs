@@ -92,7 +92,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
     let mut summary = LocalizationSummary::default();
     let tick = || progress.inc(1);
-    let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &*clock, tick, |answer| {
+    let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &*clock, tick, |answer, _| {
         if let (Some(pose), Some(tum)) = (summary.add(answer), &mut tum) {
             tum.write(&pose).context("cannot write the trajectory")?;
         }

@@ -9,7 +9,6 @@
 mod convert;
 mod publishers;
 mod subscriptions;
-mod timer;
 mod worker;
 
 use std::sync::Arc;

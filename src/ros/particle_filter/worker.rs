@@ -8,9 +8,9 @@ use serde::Deserialize;
 use super::convert::Placed;
 use super::publishers::Publishers;
 use super::subscriptions::Input;
-use super::timer::Timer;
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Interrupt;
+use crate::anytime::timer::Timer;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::{InputError, MountSource, map_message};
 use crate::config::Config;
@@ -103,9 +103,14 @@ impl Worker {
                 let unused = self.held.replace(scan).is_some();
                 self.mailbox.count_lost_scans(unused.into());
             }
-            if timer.is_due(self.clock.now()) {
+            let now = self.clock.now();
+            if timer.is_due(now) {
                 match self.held.take() {
-                    Some(letter) => self.answer(&letter, &mut urgency),
+                    // Where a timer calls for the update, the time counts from its call.
+                    Some(letter) => self.answer(
+                        &Letter { arrival: if timer.has_period() { now } else { letter.arrival }, ..letter },
+                        &mut urgency,
+                    ),
                     None => self.carry_on(),
                 }
             }

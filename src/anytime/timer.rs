@@ -2,26 +2,32 @@
 
 use std::time::Duration;
 
-/// A timer of the wall clock; without a period it is always time.
-pub(super) struct Timer {
+/// A timer; without a period it is always time.
+#[derive(Clone, Debug)]
+pub struct Timer {
     period: Option<Duration>,
     next: Duration,
 }
 
 impl Timer {
     /// `period`, s; 0: none. The first update is due one period after `now`.
-    pub(super) fn new(period: f64, now: Duration) -> Self {
+    pub fn new(period: f64, now: Duration) -> Self {
         let period = Duration::try_from_secs_f64(period).ok().filter(|period| !period.is_zero());
         Self { period, next: now + period.unwrap_or_default() }
     }
 
+    /// Whether it ever calls.
+    pub fn has_period(&self) -> bool {
+        self.period.is_some()
+    }
+
     /// Time until the next update is due; `None`: messages alone drive the updates.
-    pub(super) fn left(&self, now: Duration) -> Option<Duration> {
+    pub fn left(&self, now: Duration) -> Option<Duration> {
         self.period.map(|_| self.next.saturating_sub(now))
     }
 
     /// Whether an update is due, that is, whether the time for it has come since it last was. Times that were missed are left out.
-    pub(super) fn is_due(&mut self, now: Duration) -> bool {
+    pub fn is_due(&mut self, now: Duration) -> bool {
         let Some(period) = self.period else { return true };
         if now < self.next {
             return false;
