@@ -45,7 +45,7 @@ pub fn grid(message: &nav_msgs::OccupancyGrid) -> Result<OccupancyGrid, MapMessa
         _ => Cell::Unknown,
     };
     // The message has the resolution in single precision: 0.05 is meant, not 0.050000000745.
-    let resolution = (f64::from(resolution) * 1e7).round() * 1e-7;
+    let resolution = (f64::from(resolution) * 1e7).round() / 1e7;
     let cells = message.data.iter().map(classify).collect();
     Ok(OccupancyGrid::new(width as usize, resolution, planar_pose(origin)?, cells)?)
 }
@@ -68,7 +68,7 @@ mod tests {
         let [free, occupied, unknown] = [Cell::Free, Cell::Occupied, Cell::Unknown];
         assert_eq!(grid.cells(), [free, occupied, unknown, free, unknown, occupied]);
         assert!((grid.centre(1, 0) - Point::new(1.0 - 0.025, 2.0 + 0.075)).norm() < 1e-9);
-        assert!((grid.resolution() - 0.05).abs() < 1e-12);
+        assert_eq!(grid.resolution().to_bits(), 0.05_f64.to_bits());
     }
 
     #[test]

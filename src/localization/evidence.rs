@@ -9,8 +9,10 @@ use super::streams::CHUNK;
 use super::workers::Workers;
 use crate::raycasting::{RayCaster, Viewpoint};
 
-/// Beams of all particles together that are cast before the clock is looked at: a fraction of a millisecond's work.
-const RAYS_PER_STEP: usize = 16_384;
+/// Beams of all particles together that are cast before the clock is looked at: a fraction of a millisecond's work,
+const RAYS_PER_STEP: usize = 8192;
+/// and no more than this part of a scan.
+const STEPS: usize = 8;
 /// Halvings in the search for the exponent by which a scan is believed less.
 const HALVINGS: usize = 12;
 
@@ -44,7 +46,8 @@ impl Evidence {
 
     /// The beams that come next; none when all are taken in.
     pub(super) fn next_beams(&self) -> Range<usize> {
-        let count = (RAYS_PER_STEP / self.views.len().max(1)).max(1);
+        let most = self.observation.len().div_ceil(STEPS);
+        let count = (RAYS_PER_STEP / self.views.len().max(1)).min(most).max(1);
         self.weighed..(self.weighed + count).min(self.observation.len())
     }
 

@@ -79,6 +79,15 @@ impl Cddt {
         Self { walls, fineness, directions, starts, blocks, units, cells: units.recip(), max_range }
     }
 
+    /// The length of all beams from a place within a wall, or outside the map; `None` anywhere else. Strips know where walls begin, not
+    /// what is within them.
+    pub(super) fn length_at_once(&self, from: &Viewpoint) -> Option<f32> {
+        match self.walls.index(from.x, from.y) {
+            None => Some(f32::INFINITY),
+            Some(start) => self.walls.stops(start).then_some(0.0),
+        }
+    }
+
     /// The length of a beam in one of the directions.
     #[inline]
     pub(super) fn length(&self, from: &Viewpoint, direction: usize) -> f32 {
@@ -185,13 +194,8 @@ fn add_crossings(direction: &Direction, [x, y]: [f32; 2], fineness: f32, strips:
 impl RayCaster for Cddt {
     fn cast(&self, from: &[Viewpoint], fan: &Fan, lengths: &mut [f32]) {
         fan.fill(from, lengths, |from, beam| self.length(from, sector(beam.turn_from(from), self.directions.len() as u32)));
-        // Strips know where walls begin, not which viewpoints are within them or outside the map.
         for (view, from_here) in from.iter().enumerate() {
-            let length = match self.walls.index(from_here.x, from_here.y) {
-                None => f32::INFINITY,
-                Some(start) if self.walls.stops(start) => 0.0,
-                Some(_) => continue,
-            };
+            let Some(length) = self.length_at_once(from_here) else { continue };
             lengths.iter_mut().skip(view).step_by(from.len()).take(fan.len()).for_each(|result| *result = length);
         }
     }

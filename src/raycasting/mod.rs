@@ -146,7 +146,7 @@ crate::choices! {
         RayMarching = "ray_marching",
         /// Compressed directional distance transform (Walsh and Karaman, 2018): to half a cell and a quarter of a degree.
         Cddt = "cddt",
-        /// Every answer computed beforehand, for the middle of every cell within walls and every degree; 720 bytes a cell.
+        /// Every answer computed beforehand, for the middle of every cell within walls and every degree: to half a cell and half a degree.
         Table = "table",
     }
 }

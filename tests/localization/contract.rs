@@ -68,7 +68,7 @@ fn particles(answers: &[(Fix, Pose2)]) -> f64 {
 #[test]
 fn no_answer_is_late_where_costs_are_known_and_more_time_takes_in_more() {
     let mut last = 0.0;
-    for budget in [90, 120, 200, 1000] {
+    for budget in [150, 200, 300, 1000] {
         let (answers, late) = drive(&[&format!("contract.time_budget={budget}us")]);
         assert_eq!(late, 0, "{budget} us");
         let work = beams(&answers) * particles(&answers);
@@ -83,7 +83,7 @@ fn no_answer_is_late_where_costs_are_known_and_more_time_takes_in_more() {
 
 #[test]
 fn particles_are_given_up_where_not_even_a_part_of_the_beams_fits() {
-    let (answers, _) = drive(&["contract.time_budget=60us"]);
+    let (answers, _) = drive(&["contract.time_budget=100us"]);
     assert!(particles(&answers) < 3500.0, "{}", particles(&answers));
     let (answers, _) = drive(&["contract.time_budget=1ms"]);
     assert!((particles(&answers) - 4000.0).abs() < 0.1, "{}", particles(&answers));
