@@ -33,6 +33,7 @@ pub fn indoor_cells(grid: &OccupancyGrid) -> Vec<usize> {
 }
 
 /// Where something twice as wide as [`GAP`] gets to from the border of the map.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_possible_wrap)] // numbers of cells
 fn outdoors(grid: &OccupancyGrid) -> Vec<bool> {
     let (width, height) = (grid.width(), grid.height());
     let within = |cells: Vec<bool>, gap: f64| -> Vec<bool> {
@@ -49,7 +50,7 @@ fn outdoors(grid: &OccupancyGrid) -> Vec<bool> {
     let border = border.chain(rows.flat_map(|y| [(margin, y), (width - 1 - margin, y)]));
     border.for_each(|(x, y)| drop(flood(y * width + x, width, &mut seen)));
     let reached = seen.iter().zip(&is_wide).map(|(&seen, &wide)| seen && wide).collect();
-    within(reached, GAP + 2.0 * grid.resolution())
+    within(reached, GAP + grid.resolution())
 }
 
 /// The cells not seen yet that can be reached from one, sideways and up and down; all are seen then.

@@ -26,7 +26,7 @@ use crate::time::Stamp;
 #[derive(Clone, Debug)]
 pub enum Answer {
     /// The filter took it in.
-    Fix(Fix),
+    Fix(Box<Fix>),
     /// A newer one was there when the timer called. Where the robot was then: the last belief, carried on by odometry.
     Between {
         /// The scan's stamp.
@@ -81,7 +81,7 @@ fn answer<E>(
 ) -> Result<(), E> {
     let mut fix = localizer.on_scan(scan, arrival);
     localizer.conclude(&mut fix);
-    on_answer(&Answer::Fix(fix), scan)?;
+    on_answer(&Answer::Fix(Box::new(fix)), scan)?;
     localizer.maintain(&Never);
     Ok(())
 }

@@ -62,11 +62,11 @@ impl<'a, I: Send + 'static> Supervisor<'a, I> {
     /// Makes the node known to the master, and offers its service.
     pub(super) fn new(ros: &'a Ros, master: &'a Master, mut parts: Parts<I>, call: Call) -> Result<Self, NodeError> {
         let service = Some(offer(ros, call, &parts.mailbox)?);
-        let _subscribers = std::mem::take(&mut parts.subscribers);
+        let subscribers = std::mem::take(&mut parts.subscribers);
         let mut roles = std::mem::take(&mut parts.roles);
         roles.extend([parts.diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
         let master = MasterLink::new(ros, master, roles, &parts.log)?;
-        Ok(Self { ros, parts, master, call, service, _subscribers })
+        Ok(Self { ros, parts, master, call, service, _subscribers: subscribers })
     }
 
     /// Once a second: the master and the diagnostics. Until somebody wants the node to stop.

@@ -13,6 +13,7 @@ use crate::anytime::ErrorEstimate;
 use crate::app::localizer::{Fix, Localizer};
 use crate::config::Config;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
+use crate::localization::filter::Belief;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::ros::convert::{covariance, pose};
 use crate::time::Stamp;
@@ -82,7 +83,7 @@ pub(super) fn report(fix: &Fix, dropped: u64, frame: &str) -> FilterReport {
         elapsed: fix.elapsed.into(),
         deadline_met: fix.overrun().is_zero(),
         overrun: fix.overrun().into(),
-        localized: belief.is_ok_and(|belief| belief.is_localized()),
+        localized: belief.is_ok_and(Belief::is_localized),
         particles: count(|belief| belief.particles),
         effective: number(|belief| belief.effective),
         beams: count(|belief| belief.beams),
