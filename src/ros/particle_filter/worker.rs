@@ -111,7 +111,8 @@ impl Worker {
                         &Letter { arrival: if timer.has_period() { now } else { letter.arrival }, ..letter },
                         &mut urgency,
                     ),
-                    None => self.carry_on(),
+                    None if timer.has_period() => self.carry_on(),
+                    None => {}
                 }
             }
         }
