@@ -5,8 +5,11 @@
 mod common;
 
 use std::convert::Infallible;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use anytime_scan_matcher::anytime::clock::MonotonicClock;
+use anytime_scan_matcher::anytime::interrupt::Never;
 use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::io::map_file;
@@ -22,8 +25,9 @@ fn main() {
     for &method in &[RayCasting::Cddt, RayCasting::Table, RayCasting::RayMarching] {
         let mut config = Config::default();
         config.localization.threads = 1;
-        config.localization.ray_casting = method;
-        let mut localizer = Localizer::new(map.clone(), &config).unwrap();
+        config.localization.ray_casting = Some(method);
+        let clock = Arc::new(MonotonicClock::default());
+        let mut localizer = Localizer::new(map.clone(), &config, clock).unwrap();
         let (mut times, mut started): (Vec<Duration>, bool) = (Vec::new(), false);
         let scene = Scene::in_map(map.clone(), 1).unwrap();
         simulate::<Infallible>(&Settings::default(), &scene, |_, message| {
@@ -37,7 +41,8 @@ fn main() {
                 }
                 SimulatedMessage::Scan(scan) => {
                     let start = Instant::now();
-                    localizer.on_scan(&scan).unwrap();
+                    localizer.on_scan(&scan, Duration::ZERO).belief.unwrap();
+                    localizer.maintain(&Never);
                     times.push(start.elapsed());
                 }
             }

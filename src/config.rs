@@ -21,11 +21,12 @@ use crate::odometry::OdometryKnobs;
 crate::knobs! {
     /// Frames.
     pub struct FrameKnobs {
-        /// The frame the poses are given in.
+        /// The frame the poses are given in; of the particle filter's, that of the odometry it hears.
         odom_frame: String = "odom".into();
         /// The robot's frame.
         base_frame: String = "base_link".into();
         /// Publish the transform from `odom_frame` to `base_frame`; held back while another node publishes a parent of `base_frame`.
+        /// The particle filter: the same from `localization.map_frame` to `odom_frame`.
         publish_tf: bool = true;
         /// Predict from what another node's transforms say of `base_frame` in this frame, rather than from anything else; unset: do not.
         prediction_frame: Option<String> = None;

@@ -108,7 +108,7 @@ impl Mul for Pose2 {
 }
 
 /// A [`Pose2`] ready to move many points.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidTransform {
     cos: f64,
     sin: f64,

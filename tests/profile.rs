@@ -162,6 +162,46 @@ fn a_drive_is_simulated_and_its_profile_tells_what_to_expect() {
     assert_eq!(Profile::from_yaml(&profile.to_yaml().unwrap()).unwrap(), profile, "it reads as it was written");
 }
 
+/// A room, 12 m x 9 m with a block in it, as a map of `map_server`.
+fn map_of_a_room(folder: &Path) -> String {
+    let is_wall = |x: usize, y: usize| x < 2 || y < 2 || x > 237 || y > 177 || (90..140).contains(&x) && (70..110).contains(&y);
+    let mut image = b"P5 240 180 255\n".to_vec();
+    image.extend((0..240 * 180).map(|i| if is_wall(i % 240, i / 240) { 0_u8 } else { 254 }));
+    fs::write(folder.join("room.pgm"), image).unwrap();
+    let fields = "image: room.pgm\nresolution: 0.05\norigin: [-3, 1, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n";
+    fs::write(folder.join("room.yaml"), fields).unwrap();
+    folder.join("room.yaml").to_str().unwrap().into()
+}
+
+#[test]
+fn the_particle_filter_stands_beside_the_scan_matcher() {
+    let folder = tempfile::tempdir().unwrap();
+    let (map, out) = (map_of_a_room(folder.path()), folder.path().join("out"));
+    let drive = ["--world", &map, "--duration", "4s", "--rate", "20", "--beams", "180"];
+    let study = ["--map", &map, "--variant", "projective+point_to_line", "--rounds", "1", "--clock", "virtual"];
+    let knobs = ["--knob", "max_iterations", "--knob", "particles", "--knob", "update_period"];
+    success(&[&["profile", "--out", out.to_str().unwrap()], &drive[..], &study, &knobs].concat());
+    let summary = table(&out.join("summary.csv"));
+    let errors = |knob: &str| -> Vec<f64> {
+        let column = summary[0].iter().position(|name| name == "position_rmse_m").unwrap();
+        summary.iter().filter(|row| row[1] == knob).map(|row| row[column].parse().unwrap()).collect()
+    };
+    let (particles, period) = (errors("particles"), errors("update_period"));
+    assert_eq!((particles.len(), period.len(), errors("max_iterations").len()), (8, 7, 7));
+    assert!(particles[7] < 0.05 && particles[0] > particles[7], "{particles:?}");
+    assert!(period[0] < 0.05 && period[6] > period[0], "the longer between updates, the worse: {period:?}");
+    // Before the first call of the timer there is no belief to carry on: 26 scans of the seven periods.
+    assert_eq!(table(&out.join("scans/particle_filter.csv")).len(), 1 + 15 * 80 - 26);
+    let report = fs::read_to_string(out.join("report.html")).unwrap();
+    for name in ["error_particles", "error_update_period", "delay_error_max_iterations", "delay_error_particles"] {
+        assert!(report.contains(&fs::read_to_string(out.join(format!("{name}.svg"))).unwrap()), "{name}");
+    }
+    let no_map = failure(&["profile", "bags/demo.bag", "--out", "/tmp", "--variant", "particle_filter"], 1);
+    assert!(no_map.contains("--map"), "{no_map}");
+    let no_filter = failure(&["profile", "bags/demo.bag", "--out", "/tmp", "--knob", "particles"], 1);
+    assert!(no_filter.contains("--map"), "{no_filter}");
+}
+
 #[test]
 fn mistakes_are_named_with_their_remedy() {
     let folder = tempfile::tempdir().unwrap();

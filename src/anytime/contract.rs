@@ -89,6 +89,11 @@ impl Contract {
             && within(self.rotation_error_bound, rotation_error)
     }
 
+    /// How much later than asked for an answer is that took so long.
+    pub fn overrun(&self, elapsed: Duration) -> Duration {
+        self.time_budget.map_or(Duration::ZERO, |budget| elapsed.saturating_sub(budget))
+    }
+
     /// Whether there is an error bound to stop at.
     pub fn has_error_bound(&self) -> bool {
         self.translation_error_bound.is_some() || self.rotation_error_bound.is_some()

@@ -1,6 +1,7 @@
 //! What an answer costs on this machine: learned while running, kept as quantiles, asked before every step.
 //!
 //! Costs are kept per phase and per octave of rays (64 to 127, 128 to 255, ...), as time per ray in a window of the latest samples.
+//! (What the particle filter counts is not rays but particles, and beams cast from all of them.)
 //! The quantile of the contract's confidence guards the deadline, the median plans. Nothing is assumed of their distribution, but
 //! that a step of many times the usual cost has been interrupted by the machine: that is not what a step costs, and no reserve
 //! would help against it.
@@ -13,8 +14,8 @@ use crate::quantile::quantile;
 
 /// Samples that an octave remembers.
 const WINDOW: usize = 2048;
-/// Octaves: up to 2^14 rays.
-const OCTAVES: usize = 14;
+/// Octaves: up to 2^26 rays, as a hundred thousand particles can cast.
+const OCTAVES: usize = 26;
 
 /// A cost of so many times the median is an interruption.
 const INTERRUPTED: f32 = 5.0;
@@ -83,6 +84,13 @@ impl CostModel {
     /// The cost that is as likely exceeded as not; zero while nothing is known.
     pub fn typical(&self, phase: Phase, rays: usize) -> Duration {
         self.cost(phase, rays, |octave| octave.median)
+    }
+
+    /// The cost of several pieces of work: one of them may be slow; that two are is as good as out of the question.
+    pub fn guarded_sum(&self, pieces: &[(Phase, usize)]) -> Duration {
+        let usual: Duration = pieces.iter().map(|&(phase, rays)| self.typical(phase, rays)).sum();
+        let slow = |&(phase, rays): &(Phase, usize)| self.guarded(phase, rays).saturating_sub(self.typical(phase, rays));
+        usual + pieces.iter().map(slow).max().unwrap_or_default()
     }
 
     /// An octave without samples is given the nearest one's cost, rather a lower one's, per ray: where there are few of them a ray

@@ -1,9 +1,11 @@
-//! Anytime operation: refine a match until its contract ends.
+//! Anytime operation: work on an answer until its contract ends.
 
 pub mod clock;
 pub mod contract;
 pub mod cost_model;
 pub mod interrupt;
+mod refinement;
+pub mod timer;
 
 use std::time::Duration;
 
@@ -11,17 +13,10 @@ use clock::Clock;
 use contract::Contract;
 use cost_model::{CostModel, Phase};
 use interrupt::Interrupt;
+pub use refinement::estimated_error;
 
 use crate::geometry::PoseCovariance;
-use crate::matching::{Refinement, StopReason};
-
-/// A budget should allow for this many iterations of the coarsest level.
-const PLANNED_ITERATIONS: u32 = 4;
-/// Fewer rays than this are no plan: they leave the pose to chance.
-const FEWEST_RAYS: usize = 32;
-
-/// From step to step the way left shrinks by a ratio within these: faster is luck, slower would never end.
-const RATIOS: (f64, f64) = (0.5, 0.9);
+use crate::matching::StopReason;
 
 /// A contract on one scan: its time counts from the scan's arrival.
 #[derive(Clone, Copy, Debug)]
@@ -60,6 +55,21 @@ impl ErrorEstimate {
     }
 }
 
+/// Work on an answer, step by step; after every step there is an answer to be had.
+pub trait Work {
+    /// How much there is to do in a phase, of an iteration the next one: in rays, or what else its cost grows with.
+    fn size(&self, phase: Phase) -> usize;
+
+    /// Makes itself as small as it must be to be of use within `left`.
+    fn plan(&mut self, costs: &CostModel, left: Duration);
+
+    /// The next step; if it was the last one, why.
+    fn step(&mut self) -> Option<StopReason>;
+
+    /// Whether the answer is within the error bounds of the contract. It has some.
+    fn is_good_enough(&mut self, contract: &Contract) -> bool;
+}
+
 /// Keeps the contract of one scan.
 pub struct Driver<'a> {
     task: Task,
@@ -70,107 +80,52 @@ pub struct Driver<'a> {
 }
 
 impl<'a> Driver<'a> {
-    /// For one scan. `interrupt` may end its refinement early; `costs` says what is ahead, and learns.
+    /// For one scan. `interrupt` may end the work on it early; `costs` says what is ahead, and learns.
     pub fn new(task: Task, clock: &'a dyn Clock, interrupt: &'a dyn Interrupt, costs: &'a mut CostModel) -> Self {
         Self { task, clock, interrupt, costs, refined: None }
     }
 
-    /// Reading of the clock when the refinement was over; `None` while there has been none.
+    /// Reading of the clock when the last step was over; `None` while there has been none.
     pub fn refined(&self) -> Option<Duration> {
         self.refined
     }
 
-    /// Refines until the match is done, good enough, called for, or out of time.
+    /// What costs are known, and the time left before the deadline; `None`: there is no deadline.
+    pub fn outlook(&self) -> Option<(&CostModel, Duration)> {
+        let deadline = self.task.deadline()?;
+        Some((self.costs, deadline.saturating_sub(self.clock.now())))
+    }
+
+    /// Works until it is done, good enough, called for, or out of time.
     ///
-    /// An iteration is begun only when it and all that follows it still fit before the deadline, at the costs that the model guards
-    /// against.
-    pub fn drive(&mut self, refinement: &mut Refinement) -> StopReason {
+    /// A step is begun only when it and all that follows it still fit before the deadline, at the costs that the model guards against.
+    pub fn drive(&mut self, work: &mut impl Work) -> StopReason {
         let mut now = self.clock.now();
-        self.costs.observe(Phase::Setup, refinement.rays(), now.saturating_sub(self.task.taken_up));
+        self.costs.observe(Phase::Setup, work.size(Phase::Setup), now.saturating_sub(self.task.taken_up));
         if let Some(deadline) = self.task.deadline() {
-            self.plan(refinement, deadline.saturating_sub(now));
+            work.plan(self.costs, deadline.saturating_sub(now));
         }
         self.refined = Some(now);
         loop {
-            let rays = refinement.next_rays();
+            let size = work.size(Phase::Iteration);
             if self.interrupt.is_requested() {
                 return StopReason::Interrupted;
             }
-            if self.task.deadline().is_some_and(|deadline| now + self.cost_of_iteration_and_answer(rays) > deadline) {
+            let step_and_answer = [(Phase::Iteration, size), (Phase::Closing, work.size(Phase::Closing))];
+            if self.task.deadline().is_some_and(|deadline| now + self.costs.guarded_sum(&step_and_answer) > deadline) {
                 return StopReason::Budget;
             }
-            let stop = refinement.refine();
+            let stop = work.step();
             let before = std::mem::replace(&mut now, self.clock.now());
-            self.costs.observe(Phase::Iteration, rays, now.saturating_sub(before));
+            self.costs.observe(Phase::Iteration, size, now.saturating_sub(before));
             self.refined = Some(now);
             if let Some(reason) = stop {
                 return reason;
             }
-            if self.is_good_enough(refinement) {
+            let contract = &self.task.contract;
+            if contract.has_error_bound() && work.is_good_enough(contract) {
                 return StopReason::ErrorBound;
             }
         }
-    }
-
-    /// Begins with as few rays as it takes for some iterations to fit into the time left. Finer levels follow as time allows.
-    fn plan(&self, refinement: &mut Refinement, left: Duration) {
-        let fits = |rays: usize| {
-            let all_but_the_last = self.costs.typical(Phase::Iteration, rays) * (PLANNED_ITERATIONS - 1);
-            all_but_the_last + self.cost_of_iteration_and_answer(rays) <= left
-        };
-        let mut rays = refinement.next_rays();
-        while !fits(rays) && rays / 2 >= FEWEST_RAYS {
-            rays /= 2;
-        }
-        if rays < refinement.next_rays() {
-            refinement.use_rays(rays);
-        }
-    }
-
-    /// One of the two may be slow; that both are is as good as out of the question.
-    fn cost_of_iteration_and_answer(&self, rays: usize) -> Duration {
-        let slow = |phase| self.costs.guarded(phase, rays);
-        let usual = |phase| self.costs.typical(phase, rays);
-        let slow_iteration = slow(Phase::Iteration) + usual(Phase::Closing);
-        slow_iteration.max(usual(Phase::Iteration) + slow(Phase::Closing))
-    }
-
-    fn is_good_enough(&self, refinement: &mut Refinement) -> bool {
-        let contract = &self.task.contract;
-        contract.has_error_bound() && !refinement.is_searching() && {
-            let rest = left_to_converge(refinement);
-            // The uncertainty takes longer to compute.
-            contract.is_satisfied_by(rest.translation, rest.rotation) && {
-                let covariance = refinement.uncertainty().and_then(|known| known.covariance);
-                let error = estimated_error(refinement, covariance.as_ref());
-                contract.is_satisfied_by(error.translation, error.rotation)
-            }
-        }
-    }
-}
-
-/// Error of the pose reached so far: the noise of the scans, and what is left to converge.
-pub fn estimated_error(refinement: &Refinement, covariance: Option<&PoseCovariance>) -> ErrorEstimate {
-    let Some(covariance) = covariance else { return ErrorEstimate::UNKNOWN };
-    let (noise, rest) = (ErrorEstimate::of_covariance(covariance), left_to_converge(refinement));
-    ErrorEstimate { translation: noise.translation.hypot(rest.translation), rotation: noise.rotation.hypot(rest.rotation) }
-}
-
-/// How far the pose still has to go: closest-point iterations converge like a geometric series, whose ratio the last two steps show.
-/// Unknown before the second one.
-fn left_to_converge(refinement: &Refinement) -> ErrorEstimate {
-    let (before, between) = match refinement.trace() {
-        [] | [_] => return ErrorEstimate::UNKNOWN,
-        [first, _] => (refinement.first_guess(), first.pose),
-        [.., before, between, _] => (before.pose, between.pose),
-    };
-    let (step_before, step) = (before.between(&between), between.between(&refinement.pose()));
-    let rest = |before: f64, last: f64| {
-        let ratio = (last / before).clamp(RATIOS.0, RATIOS.1); // of NaN, 0 by 0, NaN
-        if last > 0.0 { last * ratio / (1.0 - ratio) } else { 0.0 }
-    };
-    ErrorEstimate {
-        translation: rest(step_before.distance(), step.distance()),
-        rotation: rest(step_before.theta.abs(), step.theta.abs()),
     }
 }

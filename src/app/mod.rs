@@ -2,6 +2,7 @@
 
 mod heading;
 pub mod localizer;
+pub mod map_message;
 mod warm_up;
 
 use std::path::Path;
@@ -62,6 +63,24 @@ pub enum InputError {
     /// A contract that nobody could keep.
     #[error(transparent)]
     Contract(#[from] ContractError),
+    /// A place that is not on the map.
+    #[error("({x:.2}, {y:.2}) is outside the map: is the pose given in the map's frame?")]
+    OutsideMap {
+        /// Where, m.
+        x: f64,
+        /// Where, m.
+        y: f64,
+    },
+    /// A place in another frame than the map's.
+    #[error(
+        "it is given in the frame '{frame}', expected '{expected}' (in RViz: the fixed frame; parameter localization.map_frame)"
+    )]
+    WrongFrame {
+        /// The message's frame.
+        frame: String,
+        /// The frame of the map.
+        expected: String,
+    },
 }
 
 /// A file that the configuration names is of no use.
@@ -102,7 +121,7 @@ impl Estimate {
 
     /// How much later than asked for the answer is.
     pub fn overrun(&self) -> Duration {
-        self.contract.time_budget.map_or(Duration::ZERO, |budget| self.elapsed.saturating_sub(budget))
+        self.contract.overrun(self.elapsed)
     }
 
     /// By how much the estimated error, three standard deviations of it, misses the bounds; zero where it keeps them, or there is none.

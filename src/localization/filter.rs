@@ -2,22 +2,26 @@
 
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
-use rayon::prelude::*;
-use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+use rayon::ThreadPoolBuildError;
 
 use super::LocalizationKnobs;
 use super::estimate;
+use super::evidence::Evidence;
 use super::motion::{MotionKnobs, UncertainMotion};
 use super::observation::Observation;
-use super::particles::{Particles, effective_number};
+use super::particles::{Particles, effective_number, relative};
 use super::recovery::Fit;
 use super::resampling::{kld_count, low_variance};
 use super::sensor::{BeamTable, SensorKnobs, expected_fit};
 use super::streams::{CHUNK, Streams};
+use super::update::{Update, particles_for};
+use super::workers::Workers;
+use crate::anytime::Driver;
 use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 use crate::map::grid::OccupancyGrid;
 use crate::map::indoors::indoor_cells;
-use crate::raycasting::{RayCaster, Viewpoint, turn};
+use crate::matching::StopReason;
+use crate::raycasting::{Fan, RayCaster, RayCasting, Viewpoint, turn};
 
 /// While the robot may be anywhere, each particle is moved by so much when chosen: no two shall stand for the same pose. Cells, rad.
 const ROUGHENING: (f32, f32) = (1.0, 0.02);
@@ -25,8 +29,6 @@ const ROUGHENING: (f32, f32) = (1.0, 0.02);
 const LOCALIZED: f64 = 0.3;
 /// if the cluster has this part of the weight.
 const LOCALIZED_SHARE: f64 = 0.9;
-/// Halvings in the search for the exponent by which a scan is believed less.
-const HALVINGS: usize = 12;
 
 /// What the filter believes.
 #[derive(Clone, Debug, PartialEq)]
@@ -41,7 +43,9 @@ pub struct Belief {
     pub particles: usize,
     /// How many particles of equal weight would say as much.
     pub effective: f64,
-    /// Likelihood of the last scan, per beam.
+    /// Beams of the last scan that have been taken in.
+    pub beams: usize,
+    /// Likelihood of these, per beam.
     pub fit: f64,
 }
 
@@ -66,17 +70,21 @@ pub struct ParticleFilter {
     grid: OccupancyGrid,
     /// Where a robot can be.
     indoors: Vec<usize>,
-    pool: ThreadPool,
+    workers: Workers,
     streams: Streams,
     particles: Particles,
     /// The next generation, while it is made.
     chosen: Particles,
-    weights: Vec<f32>,
-    log_likelihoods: Vec<f32>,
+    /// The scan that is being taken in, or was last.
+    evidence: Evidence,
+    /// What it leads to believe so far, and the logarithms of the weights then.
+    belief: Option<Belief>,
+    posterior: Vec<f32>,
+    /// Particles that there is time for.
+    affordable: usize,
     /// Whether the robot may be anywhere.
     exploring: bool,
     fit: Fit,
-    last_fit: f64,
 }
 
 impl ParticleFilter {
@@ -94,18 +102,22 @@ impl ParticleFilter {
             global_beams: BeamTable::global(sensor, map.resolution()),
             expected_fit: expected_fit(sensor),
             squash: sensor.squash,
-            caster: knobs.ray_casting.caster(&map, sensor.max_range / map.resolution()),
+            caster: knobs
+                .ray_casting
+                .unwrap_or_else(|| RayCasting::fastest_for(&map))
+                .caster(&map, sensor.max_range / map.resolution()),
             indoors: indoor_cells(&map),
             grid: map,
-            pool: ThreadPoolBuilder::new().num_threads(knobs.threads as usize).build()?,
+            workers: Workers::new(knobs.threads as usize)?,
             streams: Streams::new(knobs.seed),
             particles: Particles::default(),
             chosen: Particles::default(),
-            weights: Vec::new(),
-            log_likelihoods: Vec::new(),
+            evidence: Evidence::default(),
+            belief: None,
+            posterior: Vec::new(),
+            affordable: usize::MAX,
             exploring: true,
             fit: Fit::default(),
-            last_fit: 0.0,
         };
         filter.spread();
         Ok(filter)
@@ -117,8 +129,21 @@ impl ParticleFilter {
         let position = self.knobs.initial_position_error;
         let deviations = nalgebra::Vector3::new(position, position, heading);
         let given = covariance.and_then(|covariance| covariance.cholesky()).map(|root| root.l());
-        let root = given.unwrap_or_else(|| PoseCovariance::from_diagonal(&deviations));
+        self.start_about(map_from_base, &given.unwrap_or_else(|| PoseCovariance::from_diagonal(&deviations)));
+    }
+
+    /// The robot is near this position; of its heading nothing is known.
+    pub fn start_in_place(&mut self, map_from_base: &Pose2) {
+        let position = self.knobs.initial_position_error;
+        self.start_about(map_from_base, &PoseCovariance::from_diagonal(&nalgebra::Vector3::new(position, position, 0.0)));
         let mut random = self.streams.next()(0);
+        self.particles.theta.fill_with(|| random.random_range(-std::f32::consts::PI..std::f32::consts::PI));
+    }
+
+    /// `root` times normal numbers is what the pose may be off.
+    fn start_about(&mut self, map_from_base: &Pose2, root: &PoseCovariance) {
+        let mut random = self.streams.next()(0);
+        self.belief = None;
         self.particles.clear();
         for _ in 0..self.knobs.particles {
             let off = root * nalgebra::Vector3::from_fn(|_, _| StandardNormal.sample(&mut random));
@@ -132,10 +157,32 @@ impl ParticleFilter {
 
     /// The robot may be anywhere.
     pub fn spread(&mut self) {
+        self.belief = None;
         self.particles.clear();
         self.scatter(self.knobs.global_particles as usize, 0.0);
         self.exploring = true;
         self.fit = Fit::expecting(self.expected_fit);
+    }
+
+    /// Puts so many particles where a robot could be, for practice, and tells what it would see there. What is believed means nothing
+    /// until [`Self::begin_anew`].
+    pub fn practise(&mut self, particles: u32, beams: usize) -> Observation {
+        let mut random = self.streams.next()(0);
+        let place = if self.indoors.is_empty() { 0 } else { self.indoors[random.random_range(0..self.indoors.len())] };
+        let place = self.grid.centre(place % self.grid.width(), place / self.grid.width());
+        let pose = Pose2::new(place.x, place.y, 0.0);
+        self.start_at(&pose, None);
+        self.resample(particles as usize);
+        let angles: Vec<f64> = (0..beams).map(|k| k as f64 * 4.7 / beams as f64 - 2.35).collect();
+        let ranges = self.expected_ranges(&pose, angles.iter().copied());
+        Observation::of(angles, ranges)
+    }
+
+    /// Forgets everything: as new.
+    pub fn begin_anew(&mut self) {
+        self.streams = Streams::new(self.knobs.seed);
+        self.affordable = usize::MAX;
+        self.spread();
     }
 
     /// Adds particles all over the map.
@@ -155,131 +202,125 @@ impl ParticleFilter {
         let motion = UncertainMotion::new(&self.motion, motion, seconds);
         let (per_metre, streams) = (self.grid.resolution().recip(), self.streams.next());
         let Particles { x, y, theta, .. } = &mut self.particles;
-        self.pool.install(|| {
-            let chunks = x.par_chunks_mut(CHUNK).zip(y.par_chunks_mut(CHUNK)).zip(theta.par_chunks_mut(CHUNK));
-            chunks.enumerate().for_each(|(chunk, ((x, y), theta))| {
-                let mut random = streams(chunk);
-                for ((x, y), theta) in x.iter_mut().zip(y).zip(theta) {
-                    let step = motion.sample(&mut random);
-                    let (sin, cos) = (*theta + step.direction as f32).sin_cos();
-                    let (ahead, left) = ((step.ahead * per_metre) as f32, (step.left * per_metre) as f32);
-                    *x += ahead * cos - left * sin;
-                    *y += ahead * sin + left * cos;
-                    *theta = wrap_angle(f64::from(*theta) + step.turn) as f32;
-                }
-            });
+        let chunks = x.chunks_mut(CHUNK).zip(y.chunks_mut(CHUNK)).zip(theta.chunks_mut(CHUNK));
+        self.workers.share(chunks, |chunk, ((x, y), theta)| {
+            let mut random = streams(chunk);
+            for ((x, y), theta) in x.iter_mut().zip(y).zip(theta) {
+                let step = motion.sample(&mut random);
+                let (sin, cos) = (*theta + step.direction as f32).sin_cos();
+                let (ahead, left) = ((step.ahead * per_metre) as f32, (step.left * per_metre) as f32);
+                *x += ahead * cos - left * sin;
+                *y += ahead * sin + left * cos;
+                *theta = wrap_angle(f64::from(*theta) + step.turn) as f32;
+            }
         });
     }
 
-    /// The laser, at `base_from_laser`, has seen something: new evidence, each scan but once.
-    pub fn update(&mut self, observation: &Observation, base_from_laser: &Pose2) -> Belief {
+    /// Gives up particles if there are too many to move them and take in a scan of `beams` beams in the time there is. To be called
+    /// before the motion.
+    pub fn plan(&mut self, beams: usize, driver: &Driver) {
+        let wanted = if self.exploring { self.len() } else { self.knobs.particles as usize };
+        self.affordable = driver.outlook().map_or(usize::MAX, |(costs, left)| particles_for(costs, left, wanted, beams));
+        if self.len() > self.affordable {
+            self.resample(self.affordable);
+        }
+    }
+
+    /// The laser, at `base_from_laser`, has seen something: new evidence, each scan but once. As many of its beams are taken in as the
+    /// driver has time for. [`Self::finish`] is to follow.
+    pub fn update(&mut self, observation: Observation, base_from_laser: &Pose2, driver: &mut Driver) -> (Belief, StopReason) {
         if !self.exploring && self.fit.is_lost(self.knobs.recover_below) {
             self.look_everywhere();
         }
-        if !observation.ranges.is_empty() {
-            self.weigh(observation, base_from_laser);
+        let per_metre = self.grid.resolution().recip();
+        let mount = [base_from_laser.x * per_metre, base_from_laser.y * per_metre, base_from_laser.theta].map(|v| v as f32);
+        let Particles { x, y, theta, .. } = &self.particles;
+        let views = x.iter().zip(y).zip(theta).map(|((&x, &y), &theta)| laser_at(x, y, theta, mount));
+        self.evidence.begin(observation, views);
+        let stop_reason = driver.drive(&mut Update { filter: self, is_first: true });
+        (self.believe(), stop_reason)
+    }
+
+    /// What can wait until the belief is out: takes in the beams that are left, if `driver` has time for them, and chooses the
+    /// particles that live on. Without an update before there is nothing to be done.
+    pub fn finish(&mut self, driver: Option<&mut Driver>) {
+        let Some(mut belief) = self.belief.take() else { return };
+        if let (Some(driver), true) = (driver, self.next_beams() > 0) {
+            driver.drive(&mut Update { filter: self, is_first: false });
+            belief = self.believe();
+            self.belief = None;
         }
-        self.particles.weights(&mut self.weights);
-        let belief = self.belief();
-        let particles = self.particles.len();
+        if !self.exploring && belief.beams > 0 {
+            self.fit.add(belief.fit);
+        }
+        std::mem::swap(&mut self.particles.log_weight, &mut self.posterior);
+        self.evidence.begin(Observation::default(), std::iter::empty());
         self.exploring &= !belief.is_localized();
-        let crowded = particles > self.knobs.particles as usize;
-        if belief.effective < self.knobs.resample_below * particles as f64 || crowded {
-            self.resample();
+        let (count, usual) = (self.len(), self.usual_count());
+        let off = count > usual || count < usual && self.knobs.min_particles.is_none();
+        if off || belief.effective < self.knobs.resample_below * count as f64 {
+            self.resample(self.next_count());
         }
-        belief
     }
 
     /// Half of the belief goes to particles all over the map.
     fn look_everywhere(&mut self) {
         let count = self.knobs.global_particles as usize;
-        self.particles.weights(&mut self.weights);
         let largest = self.particles.log_weight.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        let total: f64 = self.weights.iter().map(|&weight| f64::from(weight)).sum();
+        let total: f64 = relative(&self.particles.log_weight).into_iter().map(f64::from).sum();
         self.scatter(count, largest + (total / count as f64).ln() as f32);
         self.exploring = true;
         self.fit = Fit::expecting(self.fit.usual());
     }
 
-    fn weigh(&mut self, observation: &Observation, base_from_laser: &Pose2) {
+    /// Beams of the next step.
+    pub(super) fn next_beams(&self) -> usize {
+        self.evidence.next_beams().len()
+    }
+
+    /// Beams taken in.
+    pub(super) fn weighed_beams(&self) -> usize {
+        self.evidence.weighed()
+    }
+
+    /// Takes in some beams more.
+    pub(super) fn weigh_next_beams(&mut self) {
         let beams = if self.exploring { &self.global_beams } else { &self.beams };
-        let rows = beams.rows(observation);
-        let (fan, caster) = (&observation.fan, &*self.caster);
-        let per_metre = self.grid.resolution().recip();
-        let mount =
-            [(base_from_laser.x * per_metre) as f32, (base_from_laser.y * per_metre) as f32, base_from_laser.theta as f32];
-        self.log_likelihoods.resize(self.particles.len(), 0.0);
-        let Particles { x, y, theta, .. } = &self.particles;
-        let poses = x.par_chunks(CHUNK).zip(y.par_chunks(CHUNK)).zip(theta.par_chunks(CHUNK));
-        self.pool.install(|| {
-            poses.zip(self.log_likelihoods.par_chunks_mut(CHUNK)).for_each(|(((x, y), theta), results)| {
-                let views: Vec<Viewpoint> =
-                    x.iter().zip(y).zip(theta).map(|((&x, &y), &theta)| laser_at(x, y, theta, mount)).collect();
-                let mut lengths = vec![0.0; fan.len() * views.len()];
-                caster.cast(&views, fan, &mut lengths);
-                results.fill(0.0);
-                for (row, lengths) in rows.iter().zip(lengths.chunks_exact(views.len())) {
-                    beams.add_log_likelihoods(row, lengths, results);
-                }
-            });
-        });
-        let count = rows.len();
-        self.take_evidence(count);
+        self.evidence.weigh_next(beams, &*self.caster, &self.workers);
     }
 
-    /// Weights by the likelihoods, to a power of less than one where they would leave too few particles effective.
-    fn take_evidence(&mut self, beams: usize) {
-        let before = self.particles.log_weight.clone();
-        let likelihoods = &self.log_likelihoods;
-        let mut effective_with = |power: f32| {
-            let log_weights = before.iter().zip(likelihoods).map(|(before, likelihood)| before + power * likelihood);
-            self.particles.log_weight.clear();
-            self.particles.log_weight.extend(log_weights);
-            self.particles.weights(&mut self.weights);
-            effective_number(&self.weights)
+    /// What is to be believed by as much of the scan as has been taken in.
+    pub(super) fn believe(&mut self) -> Belief {
+        self.posterior = if self.weighed_beams() == 0 {
+            self.particles.log_weight.clone()
+        } else {
+            let part = if self.exploring { self.knobs.global_least_effective } else { self.knobs.least_effective };
+            self.evidence.posterior(&self.particles, part * self.len() as f64)
         };
-        let part = if self.exploring { self.knobs.global_least_effective } else { self.knobs.least_effective };
-        let least = part * before.len() as f64;
-        if effective_with(1.0) < least {
-            let (mut low, mut high) = (0.0, 1.0);
-            for _ in 0..HALVINGS {
-                let power = 0.5 * (low + high);
-                *(if effective_with(power) < least { &mut high } else { &mut low }) = power;
-            }
-            effective_with(low);
-        }
-        let mean = |log_weights: &[f32], more: &[f32]| {
-            let sums = log_weights.iter().enumerate().map(|(i, weight)| f64::from(weight + more.get(i).copied().unwrap_or(0.0)));
-            let largest = sums.clone().fold(f64::NEG_INFINITY, f64::max);
-            largest + sums.map(|sum| (sum - largest).exp()).sum::<f64>().ln()
-        };
-        let log_mean = mean(&before, likelihoods) - mean(&before, &[]);
-        self.last_fit = (log_mean * self.squash / beams as f64).exp();
-        if !self.exploring {
-            self.fit.add(self.last_fit);
-        }
-    }
-
-    fn belief(&self) -> Belief {
-        let mean = estimate::mean(&self.particles, &self.weights, self.grid.resolution());
+        let weights = relative(&self.posterior);
+        let mean = estimate::mean(&self.particles, &weights, self.grid.resolution());
         let map_from_grid = self.grid.pose_in_map(&Pose2::IDENTITY).theta;
         let (sin, cos) = map_from_grid.sin_cos();
         let turn = nalgebra::Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-        Belief {
+        let belief = Belief {
             map_from_base: self.grid.pose_in_map(&mean.pose),
             covariance: turn * mean.covariance * turn.transpose(),
             share: mean.share,
-            particles: self.particles.len(),
-            effective: effective_number(&self.weights),
-            fit: self.last_fit,
-        }
+            particles: self.len(),
+            effective: effective_number(&weights),
+            beams: self.weighed_beams(),
+            fit: self.evidence.fit(&self.particles, self.squash).unwrap_or(0.0),
+        };
+        self.belief = Some(belief.clone());
+        belief
     }
 
-    fn resample(&mut self) {
+    /// Chooses `count` particles by their weights.
+    fn resample(&mut self, count: usize) {
         let mut random = self.streams.next()(0);
-        let count = self.next_count();
+        let weights = relative(&self.particles.log_weight);
         self.chosen.clear();
-        for index in low_variance(&self.weights, count, random.random()) {
+        for index in low_variance(&weights, count, random.random()) {
             let mut pose = self.particles.pose(index);
             if self.exploring {
                 for (value, deviation) in pose.iter_mut().zip([ROUGHENING.0, ROUGHENING.0, ROUGHENING.1]) {
@@ -292,19 +333,43 @@ impl ParticleFilter {
         std::mem::swap(&mut self.particles, &mut self.chosen);
     }
 
+    /// Particles of a robot that knows where it is.
+    fn usual_count(&self) -> usize {
+        (self.knobs.particles as usize).min(self.affordable)
+    }
+
     /// How many particles the next generation has.
     fn next_count(&self) -> usize {
-        let (now, usual) = (self.particles.len(), self.knobs.particles as usize);
+        let (now, usual) = (self.len(), self.usual_count());
         let least = self.knobs.min_particles.map_or(usual, |least| (least as usize).min(usual));
-        if now == usual && least == usual {
+        if now <= usual && least == usual {
             return usual;
         }
-        let chosen = low_variance(&self.weights, now, 0.5);
+        let weights = relative(&self.particles.log_weight);
+        let chosen = low_variance(&weights, now, 0.5);
         kld_count(&self.particles, chosen, self.grid.resolution() as f32, self.knobs.kld_error).clamp(least, now.max(usual))
     }
 
+    /// Number of particles.
+    pub(super) fn len(&self) -> usize {
+        self.particles.len()
+    }
+
+    /// What a laser at `map_from_laser` would see in the map at these angles, rad: lengths, m; infinite where nothing is in reach.
+    pub fn expected_ranges(&self, map_from_laser: &Pose2, angles: impl IntoIterator<Item = f64>) -> Vec<f64> {
+        let fan = Fan::new(angles);
+        let mut lengths = vec![0.0; fan.len()];
+        self.caster.cast(&[Viewpoint::new(&self.grid.pose_in_cells(map_from_laser))], &fan, &mut lengths);
+        lengths.into_iter().map(|length| f64::from(length) * self.grid.resolution()).collect()
+    }
+
+    /// The map.
+    pub fn map(&self) -> &OccupancyGrid {
+        &self.grid
+    }
+
     /// Poses of the particles, in the map.
-    pub fn poses(&self) -> impl Iterator<Item = Pose2> + '_ {
+    pub fn poses(&self) -> impl ExactSizeIterator<Item = Pose2> + '_ {
         (0..self.particles.len()).map(|index| {
             let [x, y, theta] = self.particles.pose(index).map(f64::from);
             self.grid.pose_in_map(&Pose2::new(x, y, theta))

@@ -6,6 +6,7 @@
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // particles live in single precision, within the map
 
 mod estimate;
+mod evidence;
 pub mod filter;
 pub mod motion;
 pub mod observation;
@@ -14,14 +15,24 @@ mod recovery;
 mod resampling;
 pub mod sensor;
 mod streams;
+mod update;
+mod workers;
 
+use crate::geometry::Pose2;
+use crate::knobs::Seconds;
 use crate::raycasting::RayCasting;
 
 crate::knobs! {
     /// The particle filter.
     pub struct LocalizationKnobs {
+        /// The map: a YAML file of `map_server`; unset: the node takes the one on the topic `map`.
+        map: Option<String> = None;
         /// The frame of the map.
         map_frame: String = "map".into();
+        /// Where the base is at the start, `[x, y, yaw]` on the map; unset: it may be anywhere.
+        initial_pose: Option<Pose2> = None, unit "m, m, rad";
+        /// A timer with this period drives the updates, each with the latest scan, if it is new, and odometry; 0: every scan does.
+        update_period: Seconds = Seconds(0.0), in 0 to 10, unit "s";
         /// Particles, when the robot knows where it is.
         particles: u32 = 4000, in 10 to 1_000_000;
         /// While the cloud is compact, as few as this will do (KLD sampling); unset: always `particles`.
@@ -42,8 +53,8 @@ crate::knobs! {
         initial_position_error: f64 = 0.3, in 0 to 100, unit "m";
         /// How far its heading may be off.
         initial_heading_error: f64 = 10.0, in 0 to 180, unit "deg";
-        /// How the lengths of beams are found.
-        ray_casting: RayCasting = RayCasting::Cddt;
+        /// How the lengths of beams are found; unset: `table` where it takes at most 256 MB, else `cddt`.
+        ray_casting: Option<RayCasting> = None;
         /// Threads; 0: one for each core. The answer does not depend on it.
         threads: u32 = 0, in 0 to 256;
         /// Another seed: other random numbers.

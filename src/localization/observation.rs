@@ -4,8 +4,8 @@ use crate::raycasting::Fan;
 use crate::scan::Scan;
 use crate::time::Stamp;
 
-/// Some beams of a scan, seen from the laser.
-#[derive(Clone, Debug)]
+/// Some beams of a scan, seen from the laser: in an order in which the first few, however many, are spread all over the scan.
+#[derive(Clone, Debug, Default)]
 pub struct Observation {
     /// When the scan was taken.
     pub stamp: Stamp,
@@ -20,7 +20,9 @@ impl Observation {
     pub fn new(scan: &Scan, readings: &[f32], beams: usize) -> Self {
         let beams = beams.min(scan.len());
         let (mut angles, mut ranges) = (Vec::with_capacity(beams), Vec::with_capacity(beams));
-        for ray in (0..beams).map(|k| (2 * k + 1) * scan.len() / (2 * beams)) {
+        let mut order: Vec<usize> = (0..beams).collect();
+        order.sort_by_key(|k| k.reverse_bits());
+        for ray in order.into_iter().map(|k| (2 * k + 1) * scan.len() / (2 * beams)) {
             let range = scan.ranges()[ray];
             let nothing_there = readings.get(ray) == Some(&f32::INFINITY);
             if nothing_there || !range.is_nan() {
@@ -28,6 +30,46 @@ impl Observation {
                 ranges.push(if nothing_there { f64::INFINITY } else { range });
             }
         }
-        Self { stamp: scan.stamp(), fan: Fan::new(angles), ranges }
+        Self { stamp: scan.stamp(), ..Self::of(angles, ranges) }
+    }
+
+    /// Beams at these angles, rad, with these lengths, m.
+    pub(super) fn of(angles: Vec<f64>, ranges: Vec<f64>) -> Self {
+        Self { stamp: Stamp::default(), fan: Fan::new(angles), ranges }
+    }
+
+    /// Number of beams.
+    pub fn len(&self) -> usize {
+        self.ranges.len()
+    }
+
+    /// Whether the scan says nothing.
+    pub fn is_empty(&self) -> bool {
+        self.ranges.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scan::BeamGeometry;
+    use std::sync::Arc;
+
+    #[test]
+    fn the_first_beams_are_spread_all_over_the_scan() {
+        let geometry = Arc::new(BeamGeometry::new(-2.0, 4.0 / 1080.0, 1081));
+        let scan = Scan::new(
+            Stamp::default(),
+            Arc::clone(&geometry),
+            (0.1, 30.0),
+            (0..1081).map(|i| 1.0 + 0.01 * f64::from(i)).collect::<Vec<_>>(),
+        );
+        let observation = Observation::new(&scan.unwrap(), &[], 60);
+        for first in [4, 8, 15, 30, 60] {
+            let mut ranges = observation.ranges[..first].to_vec();
+            ranges.sort_by(f64::total_cmp);
+            let widest = ranges.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
+            assert!(widest < 3.0 * 10.8 / first as f64, "{first}: {widest}");
+        }
     }
 }

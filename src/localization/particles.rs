@@ -35,13 +35,12 @@ impl Particles {
     pub(super) fn pose(&self, index: usize) -> [f32; 3] {
         [self.x[index], self.y[index], self.theta[index]]
     }
+}
 
-    /// The weights, the largest of them 1.
-    pub(super) fn weights(&self, weights: &mut Vec<f32>) {
-        let largest = self.log_weight.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-        weights.clear();
-        weights.extend(self.log_weight.iter().map(|log_weight| (log_weight - largest).exp()));
-    }
+/// The weights to logarithms of them, the largest 1.
+pub(super) fn relative(log_weights: &[f32]) -> Vec<f32> {
+    let largest = log_weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    log_weights.iter().map(|log_weight| (log_weight - largest).exp()).collect()
 }
 
 /// How many particles of equal weight would say as much (Kish).

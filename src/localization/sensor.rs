@@ -1,7 +1,5 @@
 //! The beam model (Thrun et al., 2005), computed beforehand: how likely a range is where the map has another.
 
-use super::observation::Observation;
-
 crate::knobs! {
     /// The beam model.
     pub struct SensorKnobs {
@@ -59,13 +57,13 @@ impl BeamTable {
         Self { classes, log_likelihoods, classes_per_cell: (resolution / CLASS) as f32 }
     }
 
-    /// The rows of the table that an observation asks for: one for each beam.
-    pub(super) fn rows(&self, observation: &Observation) -> Vec<&[f32]> {
+    /// The rows of the table for beams that measured these ranges, m.
+    pub(super) fn rows(&self, ranges: &[f64]) -> Vec<&[f32]> {
         let row = |&range: &f64| {
             let class = ((range / CLASS) as usize).min(self.classes - 1);
             &self.log_likelihoods[class * self.classes..][..self.classes]
         };
-        observation.ranges.iter().map(row).collect()
+        ranges.iter().map(row).collect()
     }
 
     /// Adds the logarithm of the likelihood of one beam, by its row, to that of each particle where the map has `lengths`, cells.

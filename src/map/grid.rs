@@ -37,7 +37,7 @@ pub enum GridError {
 }
 
 /// A map of square cells.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct OccupancyGrid {
     width: usize,
     height: usize,

@@ -1,22 +1,25 @@
 //! Where in a map a robot can be.
 
+use super::distance::DistanceField;
 use super::grid::{Cell, OccupancyGrid};
 
 /// Free places smaller than this are gaps within walls, m^2.
 const SMALLEST_ROOM: f64 = 1.0;
 
-/// The free cells, by index, that walls part from the outside of the map. Many maps are free all round the building, and no robot
-/// is there. All free cells, if nothing is walled in.
+/// Gaps in walls are closed up to twice this, m: the ends of corridors where somebody stopped mapping, too.
+const GAP: f64 = 1.0;
+
+/// The free cells, by index, that walls part from the outside of the map, but for gaps. Many maps are free all round the building, and
+/// no robot is there. All free cells, if nothing is walled in.
 pub fn indoor_cells(grid: &OccupancyGrid) -> Vec<usize> {
-    let mut seen: Vec<bool> = grid.cells().iter().map(|&cell| cell == Cell::Occupied).collect();
-    let (width, height) = (grid.width(), grid.height());
-    let border = (0..width).flat_map(|x| [x, (height - 1) * width + x]);
-    let border = border.chain((0..height).flat_map(|y| [y * width, (y + 1) * width - 1]));
-    border.for_each(|index| drop(flood(index, width, &mut seen)));
+    let mut seen = outdoors(grid);
+    for (seen, &cell) in seen.iter_mut().zip(grid.cells()) {
+        *seen |= cell == Cell::Occupied;
+    }
     let least = SMALLEST_ROOM / (grid.resolution() * grid.resolution());
     let mut indoors = Vec::new();
     for index in 0..seen.len() {
-        let room = flood(index, width, &mut seen);
+        let room = flood(index, grid.width(), &mut seen);
         if room.len() as f64 >= least {
             indoors.extend(room);
         }
@@ -27,6 +30,27 @@ pub fn indoor_cells(grid: &OccupancyGrid) -> Vec<usize> {
     }
     indoors.sort_unstable();
     indoors
+}
+
+/// Where something twice as wide as [`GAP`] gets to from the border of the map.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_possible_wrap)] // numbers of cells
+fn outdoors(grid: &OccupancyGrid) -> Vec<bool> {
+    let (width, height) = (grid.width(), grid.height());
+    let within = |cells: Vec<bool>, gap: f64| -> Vec<bool> {
+        let distances = DistanceField::new(width, cells);
+        let near = |index: usize| distances.at((index % width) as i64, (index / width) as i64) * grid.resolution() <= gap;
+        (0..width * height).map(near).collect()
+    };
+    let mut seen = within(grid.cells().iter().map(|&cell| cell == Cell::Occupied).collect(), GAP);
+    let is_wide = seen.iter().map(|&narrow| !narrow).collect::<Vec<_>>();
+    // All around a distance field is blocked; all around the map is the outside.
+    let margin = (GAP / grid.resolution()).ceil() as usize + 1;
+    let (columns, rows) = (margin..width.saturating_sub(margin), margin..height.saturating_sub(margin));
+    let border = columns.clone().flat_map(|x| [(x, margin), (x, height - 1 - margin)]);
+    let border = border.chain(rows.flat_map(|y| [(margin, y), (width - 1 - margin, y)]));
+    border.for_each(|(x, y)| drop(flood(y * width + x, width, &mut seen)));
+    let reached = seen.iter().zip(&is_wide).map(|(&seen, &wide)| seen && wide).collect();
+    within(reached, GAP + grid.resolution())
 }
 
 /// The cells not seen yet that can be reached from one, sideways and up and down; all are seen then.
@@ -54,15 +78,25 @@ mod tests {
     use super::*;
     use crate::geometry::Pose2;
 
+    /// A map of 20 m x 20 m, a room of 10 m x 10 m in its middle, with a gap of so many cells in its wall.
+    fn room(wall: bool, gap: usize) -> OccupancyGrid {
+        let is_wall = |x: usize, y: usize| {
+            let around = (50..=150).contains(&x) && (50..=150).contains(&y) && (x % 100 == 50 || y % 100 == 50);
+            wall && around && !(y == 50 && (80..80 + gap).contains(&x))
+        };
+        let cells = (0..40_000).map(|i| if is_wall(i % 200, i / 200) { Cell::Occupied } else { Cell::Free }).collect();
+        OccupancyGrid::new(200, 0.1, Pose2::IDENTITY, cells).unwrap()
+    }
+
     #[test]
     fn a_robot_is_within_the_walls_if_there_are_any_around_it() {
-        let walled = |x: usize, y: usize| (10..=30).contains(&x) && (10..=30).contains(&y) && (x % 20 == 10 || y % 20 == 10);
-        let cells =
-            |wall: bool| (0..1600).map(|i| if wall && walled(i % 40, i / 40) { Cell::Occupied } else { Cell::Free }).collect();
-        let grid = |wall| OccupancyGrid::new(40, 0.1, Pose2::IDENTITY, cells(wall)).unwrap();
-        let indoors = indoor_cells(&grid(true));
-        assert_eq!(indoors.len(), 19 * 19);
-        assert!(indoors.iter().all(|i| (11..30).contains(&(i % 40)) && (11..30).contains(&(i / 40))));
-        assert_eq!(indoor_cells(&grid(false)).len(), 1600);
+        for gap in [0, 3, 15] {
+            let indoors = indoor_cells(&room(true, gap));
+            let inside = indoors.iter().filter(|&i| (51..150).contains(&(i % 200)) && (51..150).contains(&(i / 200))).count();
+            // In the gap, and just before it, either is right.
+            assert!(inside >= 99 * 99 - 20 * gap && indoors.len() <= 99 * 99 + 20 * gap, "{gap}: {inside} of {}", indoors.len());
+        }
+        assert_eq!(indoor_cells(&room(false, 0)).len(), 40_000);
+        assert!(indoor_cells(&room(true, 40)).len() > 30_000, "open to all sides");
     }
 }

@@ -15,6 +15,23 @@ pub struct Point {
     pub z: f64,
 }
 
+/// `geometry_msgs/PointStamped`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PointStamped {
+    pub header: super::std_msgs::Header,
+    pub point: Point,
+}
+
+impl Message for PointStamped {
+    const TYPE: &'static str = "geometry_msgs/PointStamped";
+    const MD5: &'static str = "c63aecb41bfdfd6b7e1fac37c7cbe7bf";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("geometry_msgs/PointStamped", include_str!("../../msg/geometry_msgs/msg/PointStamped.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
+    ];
+}
+
 /// `geometry_msgs/Quaternion`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Quaternion {

@@ -30,3 +30,34 @@ impl Message for Odometry {
         ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
     ];
 }
+
+/// `nav_msgs/MapMetaData`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MapMetaData {
+    pub map_load_time: super::Time,
+    pub resolution: f32,
+    pub width: u32,
+    pub height: u32,
+    pub origin: super::geometry_msgs::Pose,
+}
+
+/// `nav_msgs/OccupancyGrid`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct OccupancyGrid {
+    pub header: super::std_msgs::Header,
+    pub info: MapMetaData,
+    pub data: Vec<i8>,
+}
+
+impl Message for OccupancyGrid {
+    const TYPE: &'static str = "nav_msgs/OccupancyGrid";
+    const MD5: &'static str = "3381f2d731d4076ec5c71b0759edbe4e";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("nav_msgs/OccupancyGrid", include_str!("../../msg/nav_msgs/msg/OccupancyGrid.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("nav_msgs/MapMetaData", include_str!("../../msg/nav_msgs/msg/MapMetaData.msg")),
+        ("geometry_msgs/Pose", include_str!("../../msg/geometry_msgs/msg/Pose.msg")),
+        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+    ];
+}

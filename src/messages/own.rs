@@ -69,3 +69,36 @@ impl Message for MatchReport {
         ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
     ];
 }
+
+/// `anytime_scan_matcher/FilterReport`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FilterReport {
+    pub header: super::std_msgs::Header,
+    pub ok: bool,
+    pub reason: String,
+    pub stop_reason: String,
+    pub time_budget: super::Duration,
+    pub translation_error_bound: f64,
+    pub rotation_error_bound: f64,
+    pub elapsed: super::Duration,
+    pub deadline_met: bool,
+    pub overrun: super::Duration,
+    pub localized: bool,
+    pub particles: u32,
+    pub effective: f64,
+    pub beams: u32,
+    pub fit: f64,
+    pub share: f64,
+    pub translation_error: f64,
+    pub rotation_error: f64,
+    pub dropped: u32,
+}
+
+impl Message for FilterReport {
+    const TYPE: &'static str = "anytime_scan_matcher/FilterReport";
+    const MD5: &'static str = "0cad528a8fe8ab41dd259f1f0c003eb5";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("anytime_scan_matcher/FilterReport", include_str!("../../msg/anytime_scan_matcher/msg/FilterReport.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+    ];
+}

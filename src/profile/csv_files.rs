@@ -96,7 +96,7 @@ fn scan_row(case: &Case, round: u32, scan: &ScanRecord) -> Vec<String> {
         round.to_string(),
         scan.stamp.to_string(),
         scan.matched.to_string(),
-        format!("{:.3}", scan.delay_us),
+        scan.delay_us.map_or_else(String::new, |us| format!("{us:.3}")),
         scan.iterations.to_string(),
         scan.rays.to_string(),
         or_empty(scan.mean_residual),

@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
+use super::variant::Variant;
 use crate::config::{Config, ConfigError};
 use crate::knobs::{KnobValue, Seconds, Value};
 use crate::matching::MatchingKnobs;
-use crate::matching::correspondence::Correspondence;
 
 crate::choices! {
     /// A knob to turn.
@@ -18,6 +18,10 @@ crate::choices! {
         Beams = "beams",
         /// Way after which a scan becomes the reference of the next ones.
         KeyframeDistance = "keyframe_distance",
+        /// Particles of the filter.
+        Particles = "particles",
+        /// Period of the timer that drives the filter; 0: every scan does.
+        UpdatePeriod = "update_period",
     }
 }
 
@@ -54,6 +58,18 @@ impl Knob {
             Self::KeyframeDistance => {
                 Description { path: "odometry.keyframe_distance", unit: "m", values: &[0.0, 0.25, 0.5, 1.0], few_values: &[0.5] }
             }
+            Self::Particles => Description {
+                path: "localization.particles",
+                unit: "",
+                values: &[50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0],
+                few_values: &[],
+            },
+            Self::UpdatePeriod => Description {
+                path: "localization.update_period",
+                unit: "s",
+                values: &[0.01, 0.025, 0.05, 0.1, 0.2, 0.4, 0.8],
+                few_values: &[],
+            },
         }
     }
 
@@ -67,17 +83,35 @@ impl Knob {
         self.description().unit
     }
 
-    /// The values that are tried unless others are asked for.
-    pub fn default_values(self, search: Correspondence) -> &'static [f64] {
-        let description = self.description();
-        if search == MatchingKnobs::default().correspondence { description.values } else { description.few_values }
+    /// Whether it makes a difference to a variant.
+    pub fn is_of(self, variant: Variant) -> bool {
+        match self {
+            Self::TimeBudget => true,
+            Self::Particles | Self::UpdatePeriod => variant == Variant::Filter,
+            Self::MaxIterations | Self::Beams | Self::KeyframeDistance => variant != Variant::Filter,
+        }
     }
 
-    /// A value in the knob's unit from text: a number, for the time budget also `5ms`.
+    /// The values that are tried unless others are asked for.
+    pub fn default_values(self, variant: Variant) -> &'static [f64] {
+        let description = self.description();
+        match variant.search() {
+            None if self == Self::TimeBudget => &[5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2],
+            Some(search) if search != MatchingKnobs::default().correspondence => description.few_values,
+            _ => description.values,
+        }
+    }
+
+    /// Whether its values are times.
+    fn is_time(self) -> bool {
+        matches!(self, Self::TimeBudget | Self::UpdatePeriod)
+    }
+
+    /// A value in the knob's unit from text: a number, for times also `5ms`.
     pub fn parse(self, text: &str) -> Result<f64, String> {
         let value = text.parse::<f64>().map_or_else(|_| Value::from(text), Value::from);
         let number = match self {
-            Self::TimeBudget => Seconds::from_value(&value).map(|seconds| seconds.0),
+            _ if self.is_time() => Seconds::from_value(&value).map(|seconds| seconds.0),
             _ => f64::from_value(&value),
         };
         number.map_err(|problem| format!("{}: {problem}", self.name()))
@@ -87,7 +121,8 @@ impl Knob {
     pub fn show(self, value: f64) -> String {
         match self {
             Self::TimeBudget if value == 0.0 => "no limit".into(),
-            Self::TimeBudget => Duration::try_from_secs_f64(value)
+            Self::UpdatePeriod if value == 0.0 => "every scan".into(),
+            _ if self.is_time() => Duration::try_from_secs_f64(value)
                 .map_or_else(|_| value.to_string(), |d| humantime::format_duration(d).to_string()),
             Self::Beams if value == 0.0 => "all".into(),
             Self::KeyframeDistance => format!("{value} m"),
@@ -126,8 +161,10 @@ mod tests {
     #[test]
     fn every_default_value_is_one_the_configuration_takes() {
         for &knob in Knob::ALL {
-            for value in knob.default_values(Correspondence::Naive).iter().chain(knob.default_values(Correspondence::JumpTable)) {
-                knob.set(&mut Config::default(), *value).unwrap();
+            for variant in Variant::matchers().into_iter().chain([Variant::Filter]) {
+                for value in knob.default_values(variant) {
+                    knob.set(&mut Config::default(), *value).unwrap();
+                }
             }
         }
     }

@@ -27,6 +27,7 @@ use thiserror::Error;
 
 use crate::anytime::contract::ContractError;
 use crate::app::StartError;
+use crate::app::localizer::LocalizerError;
 use crate::config::ConfigError;
 use crate::evaluation::association::AssociationError;
 use crate::evaluation::plot::PlotError;
@@ -45,6 +46,9 @@ pub enum ProfileError {
     /// The contract of the configuration is none.
     #[error(transparent)]
     Contract(#[from] ContractError),
+    /// The particle filter cannot be had.
+    #[error(transparent)]
+    Localizer(#[from] LocalizerError),
     /// A file of the configuration cannot be read.
     #[error(transparent)]
     Start(#[from] StartError),

@@ -32,7 +32,12 @@ pub struct Picture {
 pub fn draw(results: &Results) -> Result<Vec<Picture>, ProfileError> {
     let mut pictures = Vec::new();
     for knob in results.knobs() {
-        pictures.push(delay_error(results, knob)?);
+        if knob != Knob::UpdatePeriod {
+            pictures.push(delay_error(results, knob)?);
+        }
+        if matches!(knob, Knob::Particles | Knob::UpdatePeriod) {
+            pictures.push(error_by_value(results, knob)?);
+        }
     }
     pictures.push(trajectories(results)?);
     pictures.push(poses(results)?);
@@ -53,18 +58,23 @@ fn colour(index: usize) -> Colour {
 
 /// Colour by solver, line and sign by search.
 fn look(variant: Variant) -> Look {
-    let (dash, mark) = match variant.search {
+    let Variant::Matcher { search, solver } = variant else { return filter_look() };
+    let (dash, mark) = match search {
         Correspondence::Naive => (Dash::Dotted, Mark::Triangle),
         Correspondence::JumpTable => (Dash::Solid, Mark::Disc),
         Correspondence::KdTree => (Dash::Dashed, Mark::Square),
         Correspondence::Projective => (Dash::Solid, Mark::Square),
     };
-    Look { dash, mark, ..Look::line(colour(position(SolverKind::ALL, &variant.solver)), 4) }
+    Look { dash, mark, ..Look::line(colour(position(SolverKind::ALL, &solver)), 4) }
+}
+
+fn filter_look() -> Look {
+    Look { mark: Mark::Disc, ..Look::line(colour(SolverKind::ALL.len()), 7) }
 }
 
 /// Series without points that name the solvers by their colours.
 fn solver_legend(results: &Results) -> Vec<Series> {
-    let is_there = |solver: &&SolverKind| results.variants().iter().any(|variant| variant.solver == **solver);
+    let is_there = |solver: &&SolverKind| results.variants().iter().any(|variant| variant.solver() == Some(**solver));
     let entry = |solver: &SolverKind| Series {
         name: solver.name().into(),
         look: Look::line(colour(position(SolverKind::ALL, solver)), 14),
@@ -75,10 +85,10 @@ fn solver_legend(results: &Results) -> Vec<Series> {
 
 /// Series without points that name the searches by their lines and signs.
 fn search_legend(results: &Results) -> Vec<Series> {
-    let is_there = |search: &&Correspondence| results.variants().iter().any(|variant| variant.search == **search);
+    let is_there = |search: &&Correspondence| results.variants().iter().any(|variant| variant.search() == Some(**search));
     let entry = |&search: &Correspondence| Series {
         name: search.name().into(),
-        look: Look { colour: Colour::Ink, ..look(Variant { search, solver: SolverKind::PointToLine }) },
+        look: Look { colour: Colour::Ink, ..look(Variant::Matcher { search, solver: SolverKind::PointToLine }) },
         points: Vec::new(),
     };
     Correspondence::ALL.iter().filter(is_there).map(entry).collect()
@@ -91,7 +101,7 @@ fn panel(x: &str, y: &str, scales: (Scale, Scale), height: u32, series: Vec<Seri
 fn delay_error(results: &Results, knob: Knob) -> Result<Picture, ProfileError> {
     type Error = fn(&CaseSummary) -> f64;
     let curve = |variant: Variant, error: Error| Series {
-        name: String::new(),
+        name: if variant == Variant::Filter { variant.to_string() } else { String::new() },
         look: look(variant),
         points: results.of(variant, knob).into_iter().map(|case| (case.figures.delay.p50, error(case))).collect(),
     };
@@ -118,6 +128,39 @@ fn delay_error(results: &Results, knob: Knob) -> Result<Picture, ProfileError> {
             knob.name(),
             values.join(", ")
         ),
+        svg: curves(&panels)?,
+    })
+}
+
+/// The filter's error by the value of a knob, and beside it the best that a scan matcher has done in this study.
+fn error_by_value(results: &Results, knob: Knob) -> Result<Picture, ProfileError> {
+    type Error = fn(&CaseSummary) -> f64;
+    let cases = results.of(Variant::Filter, knob);
+    let ends = [cases.first(), cases.last()].map(|case| case.map_or(0.0, |case| case.case.value));
+    let matchers = || results.cases.iter().filter(|case| case.case.variant != Variant::Filter);
+    let best = matchers().min_by(|a, b| a.figures.position.rmse().total_cmp(&b.figures.position.rmse()));
+    let of = |label: &str, error: Error| {
+        let points = cases.iter().map(|case| (case.case.value, error(case))).collect();
+        let mut series = vec![Series { name: Variant::Filter.to_string(), look: filter_look(), points }];
+        series.extend(best.map(|best| Series {
+            name: best.case.variant.to_string(),
+            look: Look { mark: Mark::None, dash: Dash::Dashed, ..look(best.case.variant) },
+            points: ends.map(|value| (value, error(best))).into(),
+        }));
+        let x = if knob.unit().is_empty() { knob.name().to_owned() } else { format!("{} [{}]", knob.name(), knob.unit()) };
+        panel(&x, label, (Scale::Logarithmic, Scale::Logarithmic), 440, series)
+    };
+    let panels = [
+        of("position RMSE [mm]", |case| 1e3 * case.figures.position.rmse()),
+        of("orientation RMSE [deg]", |case| case.figures.orientation.rmse().to_degrees()),
+    ];
+    Ok(Picture {
+        name: format!("error_{}", knob.name()),
+        title: format!("The particle filter's error by {}", knob.name()),
+        caption:
+            "Root mean square after alignment, at every scan; at scans that no update took in, of the last belief carried on by \
+                  odometry. Dashed: the scan matcher whose error was least in this study, whatever its knobs."
+                .into(),
         svg: curves(&panels)?,
     })
 }
@@ -248,7 +291,7 @@ fn pose_errors(results: &Results) -> Result<Picture, ProfileError> {
 
 fn delay_by_iterations(results: &Results) -> Result<Picture, ProfileError> {
     let of_search = |&search: &Correspondence| {
-        let costs: Vec<_> = results.costs.iter().filter(|cost| cost.variant.search == search).collect();
+        let costs: Vec<_> = results.costs.iter().filter(|cost| cost.variant.search() == Some(search)).collect();
         if costs.is_empty() {
             return None;
         }
@@ -281,13 +324,13 @@ fn delay_by_iterations(results: &Results) -> Result<Picture, ProfileError> {
 
 /// Every match of a sample as a thin line, and their median: a match that has ended keeps its last value.
 fn descents(results: &Results) -> Result<Picture, ProfileError> {
-    let search = results.showcase().first().map(|&i| results.cases[i].case.variant.search);
+    let search = results.showcase().first().map(|&i| results.cases[i].case.variant.search());
     let of_solver = |solver: &SolverKind| {
         let of_solver = results
             .cases
             .iter()
             .zip(&results.first_runs)
-            .filter(|(case, _)| Some(case.case.variant.search) == search && case.case.variant.solver == *solver);
+            .filter(|(case, _)| Some(case.case.variant.search()) == search && case.case.variant.solver() == Some(*solver));
         // The run that stopped matches least.
         let run = of_solver.map(|(_, run)| run).max_by_key(|run| run.descents.iter().map(Vec::len).sum::<usize>())?;
         let in_mm =
@@ -323,7 +366,7 @@ fn median_descent(descents: &[Vec<f64>]) -> Vec<f64> {
 fn search_times(results: &Results) -> Result<Picture, ProfileError> {
     let of_search = |&search: &Correspondence| {
         let times = results.search_times.iter().filter(|time| time.search == search);
-        let style = look(Variant { search, solver: SolverKind::PointToLine });
+        let style = look(Variant::Matcher { search, solver: SolverKind::PointToLine });
         Series {
             name: search.name().into(),
             look: Look { colour: colour(position(Correspondence::ALL, &search)), ..style },
@@ -354,7 +397,7 @@ mod tests {
 
     #[test]
     fn twelve_variants_look_different() {
-        let looks: Vec<Look> = Variant::all().into_iter().map(look).collect();
+        let looks: Vec<Look> = Variant::matchers().into_iter().chain([Variant::Filter]).map(look).collect();
         for (i, one) in looks.iter().enumerate() {
             assert!(looks[i + 1..].iter().all(|other| other != one), "{one:?}");
         }

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use super::ProfileError;
+use super::variant::Variant;
 use crate::anytime::clock::Clock;
+use crate::app::localizer::Localizer;
 use crate::app::{App, Estimate};
 use crate::config::Config;
 use crate::evaluation::association::{MatchedPose, associate};
@@ -14,7 +16,9 @@ use crate::evaluation::trajectory::{StampedPose, Trajectory};
 use crate::geometry::{Point, Pose2};
 use crate::io::bag::Bag;
 use crate::io::contract_schedule::ContractSchedule;
+use crate::map::grid::OccupancyGrid;
 use crate::matching::IterationTrace;
+use crate::replay::localize::{Answer, localize};
 use crate::replay::map_sketch::MapSketch;
 use crate::replay::{Source, Topics, microseconds, replay};
 use crate::time::Stamp;
@@ -31,6 +35,8 @@ pub struct Input<'a> {
     pub topics: &'a Topics,
     /// What its answers are compared with.
     pub truth: &'a Trajectory,
+    /// The map that the particle filter goes by, in the frame of the truth; `None`: without it there is none.
+    pub map: Option<&'a OccupancyGrid>,
 }
 
 /// The answer to one scan, and how good it was.
@@ -42,8 +48,8 @@ pub struct ScanRecord {
     pub odom_from_base: Pose2,
     /// Whether it is by a match (or the first one), not a prediction for want of one.
     pub matched: bool,
-    /// From the scan's arrival to its answer, us.
-    pub delay_us: f64,
+    /// From the scan's arrival to its answer, us; `None` where the particle filter passed it over.
+    pub delay_us: Option<f64>,
     /// Iterations made.
     pub iterations: u32,
     /// Rays that took part, summed over the iterations.
@@ -71,8 +77,73 @@ pub struct Run {
     pub beams: usize,
 }
 
-/// Runs the bag. `keep_points`: collect points of the scans for a map.
+/// Runs the bag through a variant. `keep_points`: collect points of the scans for a map.
 pub fn run(
+    input: Input,
+    variant: Variant,
+    config: &Config,
+    clock: &Arc<dyn Clock>,
+    keep_points: bool,
+    on_message: impl FnMut(),
+) -> Result<Run, ProfileError> {
+    let mut run = match (variant, input.map) {
+        (Variant::Filter, Some(map)) => localize_run(input, map, config, clock, on_message)?,
+        _ => match_run(input, config, clock, keep_points, on_message)?,
+    };
+    run.compare(input.truth)?;
+    Ok(run)
+}
+
+/// By the particle filter, from the first true pose on.
+fn localize_run(
+    input: Input,
+    map: &OccupancyGrid,
+    config: &Config,
+    clock: &Arc<dyn Clock>,
+    on_message: impl FnMut(),
+) -> Result<Run, ProfileError> {
+    let mut localizer = Localizer::new(map.clone(), config, Arc::clone(clock))?;
+    if localizer.contract().time_budget.is_some() {
+        localizer.warm_up();
+    }
+    if config.localization.initial_pose.is_none() {
+        localizer.start_at(&input.truth.ends().0.pose, None);
+    }
+    let mut run = Run::default();
+    localize::<ProfileError>(input.bag, input.topics, &mut localizer, &**clock, on_message, |answer, scan| {
+        if run.scans.is_empty() {
+            run.beams = scan.ranges.len();
+        }
+        run.scans.extend(localized(answer));
+        Ok(())
+    })?;
+    Ok(run)
+}
+
+/// The record of a scan that was of use, or was passed over.
+fn localized(answer: &Answer) -> Option<ScanRecord> {
+    let record = |stamp, odom_from_base| ScanRecord {
+        stamp,
+        odom_from_base,
+        matched: true,
+        delay_us: None,
+        iterations: 0,
+        rays: 0,
+        mean_residual: None,
+        error: None,
+    };
+    match answer {
+        Answer::Between { stamp, map_from_base } => Some(record(*stamp, *map_from_base)),
+        Answer::Fix(fix) => fix.belief.as_ref().ok().map(|belief| ScanRecord {
+            matched: belief.beams > 0,
+            delay_us: Some(microseconds(fix.elapsed)),
+            rays: (belief.particles * belief.beams) as u64,
+            ..record(fix.stamp, belief.map_from_base)
+        }),
+    }
+}
+
+fn match_run(
     input: Input,
     config: &Config,
     clock: &Arc<dyn Clock>,
@@ -102,7 +173,6 @@ pub fn run(
         Ok(())
     })?;
     run.scan_points = sketch.points().to_vec();
-    run.compare(input.truth)?;
     Ok(run)
 }
 
@@ -112,7 +182,7 @@ fn record(estimate: &Estimate, iterations: &[IterationTrace]) -> ScanRecord {
         stamp: estimate.stamp,
         odom_from_base: registration.odom_from_base,
         matched: registration.outcome.is_ok(),
-        delay_us: microseconds(estimate.elapsed),
+        delay_us: Some(microseconds(estimate.elapsed)),
         iterations: registration.refinement.map_or(0, |r| r.iterations),
         rays: iterations.iter().map(|iteration| u64::from(iteration.rays)).sum(),
         mean_residual: registration.refinement.map(|r| r.mean_residual),

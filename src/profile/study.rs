@@ -95,12 +95,12 @@ impl Study<'_> {
             for i in self.plan.order(round) {
                 let config = cases[i].config(self.config)?;
                 let keep_points = round == 0 && Some(i) == mapped;
-                let run = run(self.input, &config, &(self.new_clock)(), keep_points, &mut on_message)?;
+                let run = run(self.input, cases[i].variant, &config, &(self.new_clock)(), keep_points, &mut on_message)?;
                 let of_run = Figures::of(&run);
                 files.add(&cases[i], round, &run, &of_run)?;
                 figures[i].push(of_run);
                 let made_iterations = run.scans.iter().filter(|scan| scan.iterations > 0);
-                answers[i].extend(made_iterations.map(|scan| (scan.iterations, scan.rays, scan.delay_us)));
+                answers[i].extend(made_iterations.filter_map(|scan| Some((scan.iterations, scan.rays, scan.delay_us?))));
                 if round == 0 {
                     first_runs[i] = run;
                 }
@@ -185,7 +185,7 @@ impl Results {
     /// The profile: delays by time budget if that was turned, else by the next best knob.
     pub fn profile(&self) -> Profile {
         let variants = self.costs.iter().filter_map(|cost| {
-            let knobs = [Knob::TimeBudget, Knob::MaxIterations, Knob::Beams, Knob::KeyframeDistance];
+            let knobs = [Knob::TimeBudget, Knob::MaxIterations, Knob::Beams, Knob::KeyframeDistance, Knob::Particles];
             let cases = knobs.iter().map(|&knob| self.of(cost.variant, knob)).find(|cases| !cases.is_empty())?;
             Some((cost.variant.to_string(), expectations(&cases, cost.model)?))
         });
@@ -196,7 +196,7 @@ impl Results {
 /// The cases of the first knob of the default variant, or of the first variant where the default one is not among them.
 fn showcase(cases: impl Iterator<Item = (Variant, Knob)>) -> Vec<usize> {
     let cases: Vec<_> = cases.collect();
-    let default = Variant { search: Correspondence::Projective, solver: SolverKind::PointToLine };
+    let default = Variant::Matcher { search: Correspondence::Projective, solver: SolverKind::PointToLine };
     let Some(&chosen) = cases.iter().find(|case| case.0 == default).or(cases.first()) else { return Vec::new() };
     (0..cases.len()).filter(|&i| cases[i] == chosen).collect()
 }

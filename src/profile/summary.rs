@@ -67,14 +67,14 @@ impl Figures {
     pub fn of(run: &Run) -> Self {
         let scans = run.scans.len();
         let count = scans.max(1) as f64;
-        let mut delays: Vec<f64> = run.scans.iter().map(|scan| scan.delay_us).collect();
+        let mut delays: Vec<f64> = run.scans.iter().filter_map(|scan| scan.delay_us).collect();
         delays.sort_by(f64::total_cmp);
         let errors = || run.scans.iter().filter_map(|scan| scan.error);
         Self {
             scans,
             failed: run.scans.iter().filter(|scan| !scan.matched).count() as f64,
             delay: Delays {
-                mean: delays.iter().sum::<f64>() / count,
+                mean: delays.iter().sum::<f64>() / delays.len().max(1) as f64,
                 p50: percentile(&delays, 50).unwrap_or_default(),
                 p99: percentile(&delays, 99).unwrap_or_default(),
             },

@@ -9,7 +9,7 @@ use super::bits::WallBits;
 use super::{Fan, RayCaster, Viewpoint, sector};
 use crate::map::grid::OccupancyGrid;
 
-/// Directions of a full turn.
+/// Directions of a full turn, unless others are wanted.
 const DIRECTIONS: u32 = 720;
 /// Places that are compared at once.
 const BLOCK: usize = 8;
@@ -41,6 +41,8 @@ struct Direction {
 /// Walls ahead, by direction and strip.
 pub(super) struct Cddt {
     walls: WallBits,
+    /// Strips in the width of a cell.
+    fineness: f32,
     directions: Vec<Direction>,
     /// First block of every strip, and the end.
     starts: Vec<u32>,
@@ -53,12 +55,19 @@ pub(super) struct Cddt {
 
 impl Cddt {
     pub(super) fn new(grid: &OccupancyGrid, max_range: f32) -> Self {
+        Self::with(grid, max_range, DIRECTIONS, 1.0)
+    }
+
+    /// For so many directions, with `fineness` strips in the width of a cell.
+    pub(super) fn with(grid: &OccupancyGrid, max_range: f32, directions: u32, fineness: f32) -> Self {
         let walls = WallBits::new(grid);
         let surface = surface(grid, &walls);
         let size = [grid.width() as f32, grid.height() as f32];
         let units = LAST_PLACE / size[0].hypot(size[1]).max(1.0);
-        let parts: Vec<_> =
-            (0..DIRECTIONS).into_par_iter().map(|index| Strips::new(direction(index, size), &surface, units)).collect();
+        let parts: Vec<_> = (0..directions)
+            .into_par_iter()
+            .map(|index| Strips::new(direction(index, directions, size, fineness), &surface, units, fineness))
+            .collect();
         let (mut directions, mut starts, mut blocks) = (Vec::new(), Vec::new(), Vec::new());
         for Strips { mut direction, starts: own, blocks: own_blocks } in parts {
             direction.first = starts.len() as u32;
@@ -67,14 +76,24 @@ impl Cddt {
             directions.push(direction);
         }
         starts.push(blocks.len() as u32);
-        Self { walls, directions, starts, blocks, units, cells: units.recip(), max_range }
+        Self { walls, fineness, directions, starts, blocks, units, cells: units.recip(), max_range }
     }
 
+    /// The length of all beams from a place within a wall, or outside the map; `None` anywhere else. Strips know where walls begin, not
+    /// what is within them.
+    pub(super) fn length_at_once(&self, from: &Viewpoint) -> Option<f32> {
+        match self.walls.index(from.x, from.y) {
+            None => Some(f32::INFINITY),
+            Some(start) => self.walls.stops(start).then_some(0.0),
+        }
+    }
+
+    /// The length of a beam in one of the directions.
     #[inline]
-    fn length(&self, from: &Viewpoint, direction: usize) -> f32 {
+    pub(super) fn length(&self, from: &Viewpoint, direction: usize) -> f32 {
         let Direction { cos, sin, along, across, strips, first } = self.directions[direction];
         let here = ((from.x * cos + from.y * sin + along) * self.units) as u16;
-        let strip = ((from.y * cos - from.x * sin + across) as u32).min(strips - 1);
+        let strip = (((from.y * cos - from.x * sin + across) * self.fineness) as u32).min(strips - 1);
         let strip = (first + strip) as usize;
         let (start, end) = (self.starts[strip] as usize, self.starts[strip + 1] as usize);
         for Places(places) in &self.blocks[start..end] {
@@ -105,12 +124,12 @@ fn surface(grid: &OccupancyGrid, walls: &WallBits) -> Vec<[f32; 2]> {
     middles
 }
 
-fn direction(index: u32, [width, height]: [f32; 2]) -> Direction {
-    let (sin, cos) = (f64::from(index) * std::f64::consts::TAU / f64::from(DIRECTIONS)).sin_cos();
+fn direction(index: u32, count: u32, [width, height]: [f32; 2], fineness: f32) -> Direction {
+    let (sin, cos) = (f64::from(index) * std::f64::consts::TAU / f64::from(count)).sin_cos();
     let (sin, cos) = (sin as f32, cos as f32);
     let along = (-width * cos).max(0.0) + (-height * sin).max(0.0);
     let across = (width * sin).max(0.0) + (-height * cos).max(0.0);
-    let strips = (width * sin.abs() + height * cos.abs()).ceil() as u32 + 1;
+    let strips = ((width * sin.abs() + height * cos.abs()) * fineness).ceil() as u32 + 1;
     Direction { cos, sin, along, across, strips, first: 0 }
 }
 
@@ -122,10 +141,10 @@ struct Strips {
 }
 
 impl Strips {
-    fn new(direction: Direction, surface: &[[f32; 2]], units: f32) -> Self {
+    fn new(direction: Direction, surface: &[[f32; 2]], units: f32, fineness: f32) -> Self {
         let mut crossings: Vec<Vec<(f32, f32)>> = vec![Vec::new(); direction.strips as usize];
         for &middle in surface {
-            add_crossings(&direction, middle, &mut crossings);
+            add_crossings(&direction, middle, fineness, &mut crossings);
         }
         let (mut starts, mut blocks) = (Vec::with_capacity(crossings.len()), Vec::new());
         for strip in &mut crossings {
@@ -150,13 +169,14 @@ impl Strips {
 }
 
 /// Where the middle line of each strip enters and leaves a wall cell.
-fn add_crossings(direction: &Direction, [x, y]: [f32; 2], strips: &mut [Vec<(f32, f32)>]) {
+fn add_crossings(direction: &Direction, [x, y]: [f32; 2], fineness: f32, strips: &mut [Vec<(f32, f32)>]) {
     let Direction { cos, sin, along, across, .. } = *direction;
     let (u, v) = (x * cos + y * sin + along, y * cos - x * sin + across);
     let half = 0.5 * (cos.abs() + sin.abs());
-    let (lowest, highest) = ((v - half - 0.5).ceil().max(0.0) as usize, (v + half - 0.5).floor().max(0.0) as usize);
+    let strip_at = |v: f32| v * fineness - 0.5;
+    let (lowest, highest) = (strip_at(v - half).ceil().max(0.0) as usize, strip_at(v + half).floor().max(0.0) as usize);
     for (strip, crossings) in strips.iter_mut().enumerate().take(highest + 1).skip(lowest) {
-        let offset = strip as f32 + 0.5 - v;
+        let offset = (strip as f32 + 0.5) / fineness - v;
         // Within the cell, the line passes two pairs of sides.
         let pass = |speed: f32, aside: f32| {
             let speed = speed.abs().max(1e-6);
@@ -173,14 +193,9 @@ fn add_crossings(direction: &Direction, [x, y]: [f32; 2], strips: &mut [Vec<(f32
 
 impl RayCaster for Cddt {
     fn cast(&self, from: &[Viewpoint], fan: &Fan, lengths: &mut [f32]) {
-        fan.fill(from, lengths, |from, beam| self.length(from, sector(beam.turn_from(from), DIRECTIONS)));
-        // Strips know where walls begin, not which viewpoints are within them or outside the map.
+        fan.fill(from, lengths, |from, beam| self.length(from, sector(beam.turn_from(from), self.directions.len() as u32)));
         for (view, from_here) in from.iter().enumerate() {
-            let length = match self.walls.index(from_here.x, from_here.y) {
-                None => f32::INFINITY,
-                Some(start) if self.walls.stops(start) => 0.0,
-                Some(_) => continue,
-            };
+            let Some(length) = self.length_at_once(from_here) else { continue };
             lengths.iter_mut().skip(view).step_by(from.len()).take(fan.len()).for_each(|result| *result = length);
         }
     }

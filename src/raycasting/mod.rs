@@ -15,9 +15,13 @@ mod ray_marching;
 mod table;
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use crate::geometry::Pose2;
 use crate::map::grid::OccupancyGrid;
+
+/// Memory that nobody minds, bytes.
+const MODERATE: usize = 256 << 20;
 
 /// An angle as a fraction of a turn, in units of 2^-32: adding wraps by itself, and the leading bits are the index into a table.
 pub type Turn = u32;
@@ -96,6 +100,12 @@ impl Fan {
         Self { beams: angles.into_iter().map(beam).collect() }
     }
 
+    /// Some of the beams, by their numbers.
+    #[must_use]
+    pub fn part(&self, beams: Range<usize>) -> Self {
+        Self { beams: self.beams[beams].to_vec() }
+    }
+
     /// Number of beams.
     pub fn len(&self) -> usize {
         self.beams.len()
@@ -136,12 +146,17 @@ crate::choices! {
         RayMarching = "ray_marching",
         /// Compressed directional distance transform (Walsh and Karaman, 2018): to half a cell and a quarter of a degree.
         Cddt = "cddt",
-        /// Every answer computed beforehand, for the middle of every cell within walls and every degree.
+        /// Every answer computed beforehand, for the middle of every cell within walls and every degree: to half a cell and half a degree.
         Table = "table",
     }
 }
 
 impl RayCasting {
+    /// The fastest method that takes a moderate amount of memory: the table, unless the map is large.
+    pub fn fastest_for(grid: &OccupancyGrid) -> Self {
+        if table::memory_for(grid) <= MODERATE { Self::Table } else { Self::Cddt }
+    }
+
     /// Prepares this method for a map. Beams reach `max_range` cells.
     #[allow(clippy::cast_possible_truncation)] // cells
     pub fn caster(self, grid: &OccupancyGrid, max_range: f64) -> Box<dyn RayCaster> {

@@ -40,7 +40,7 @@ impl RayMarching {
 
     /// The length of a beam, its start given with the border: cells.
     #[inline]
-    pub(super) fn length(&self, [x, y]: [f32; 2], direction: [f32; 2]) -> f32 {
+    fn length(&self, [x, y]: [f32; 2], direction: [f32; 2]) -> f32 {
         // So that nothing is divided by zero; within any map it makes no difference.
         let [dx, dy] = direction.map(|part| if part.abs() < 1e-9 { 1e-9 } else { part });
         let (by_dx, by_dy) = (dx.recip(), dy.recip());
@@ -66,7 +66,7 @@ impl RayMarching {
     }
 
     /// The start of beams, with the border; `None` outside the map.
-    pub(super) fn start(&self, from: &Viewpoint) -> Option<[f32; 2]> {
+    fn start(&self, from: &Viewpoint) -> Option<[f32; 2]> {
         let inside = from.x >= 0.0 && from.y >= 0.0 && from.x < (self.width - 2) as f32 && from.y < (self.height - 2) as f32;
         inside.then_some([from.x + 1.0, from.y + 1.0])
     }

@@ -10,51 +10,93 @@ use serde_json::{Value, json};
 
 use super::{ReplayLog, Topics, feed, microseconds};
 use crate::anytime::clock::Clock;
-use crate::app::localizer::{Localizer, NoEvidence};
+use crate::anytime::interrupt::Never;
+use crate::anytime::timer::Timer;
+use crate::app::localizer::{Fix, Localizer};
 use crate::evaluation::association::MatchedPose;
 use crate::evaluation::statistics::{PoseErrors, percentile};
 use crate::evaluation::trajectory::StampedPose;
+use crate::geometry::Pose2;
 use crate::io::bag::{Bag, BagError};
-use crate::localization::filter::Belief;
+use crate::matching::StopReason;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::time::Stamp;
 
-/// What the filter made of a scan.
+/// What became of a scan.
 #[derive(Clone, Debug)]
-pub struct Localized {
-    /// The scan's stamp.
-    pub stamp: Stamp,
-    /// The belief, or why the scan was of no use.
-    pub belief: Result<Belief, NoEvidence>,
-    /// How long it took.
-    pub elapsed: Duration,
+pub enum Answer {
+    /// The filter took it in.
+    Fix(Box<Fix>),
+    /// A newer one was there when the timer called. Where the robot was then: the last belief, carried on by odometry.
+    Between {
+        /// The scan's stamp.
+        stamp: Stamp,
+        /// The pose of the base.
+        map_from_base: Pose2,
+    },
 }
 
 /// Localizes a robot by a bag. `on_answer` gets the answer to each scan; `on_message` is called for every message read. An error of
-/// `on_answer` ends the replay.
+/// `on_answer` ends the replay. A timer goes by the time of the bag, and each of its calls finds the latest scan.
 pub fn localize<E: From<BagError>>(
     bag: &Bag,
     topics: &Topics,
     localizer: &mut Localizer,
     clock: &dyn Clock,
     on_message: impl FnMut(),
-    mut on_answer: impl FnMut(&Localized) -> Result<(), E>,
+    mut on_answer: impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
-    feed(bag, topics, localizer, on_message, |message, localizer, log| {
-        match message.decode::<LaserScan>() {
-            Ok(scan) => {
-                let arrival = clock.now();
-                let belief = localizer.on_scan(&scan);
-                let elapsed = clock.now().saturating_sub(arrival);
-                on_answer(&Localized { stamp: scan.header.stamp.into(), belief, elapsed })?;
+    let mut timer = Timer::new(localizer.config().localization.update_period.0, Duration::ZERO);
+    let mut held: Option<LaserScan> = None;
+    let mut start = None;
+    let log = feed(bag, topics, localizer, on_message, |message, localizer, log| {
+        let arrival = clock.now();
+        let scan = match message.decode::<LaserScan>() {
+            Ok(scan) => scan,
+            Err(error) => {
+                log.note(&error);
+                return Ok(());
             }
-            Err(error) => log.note(&error),
+        };
+        let since_start = message.time.seconds_since(*start.get_or_insert(message.time));
+        let now = Duration::try_from_secs_f64(since_start).unwrap_or_default();
+        if !timer.has_period() {
+            return answer(localizer, &scan, arrival, &mut on_answer);
         }
-        Ok(())
-    })
+        let is_due = timer.is_due(now);
+        let Some(earlier) = held.replace(scan) else { return Ok(()) };
+        if is_due { answer(localizer, &earlier, arrival, &mut on_answer) } else { pass_over(localizer, &earlier, &mut on_answer) }
+    })?;
+    if let Some(last) = held {
+        pass_over(localizer, &last, &mut on_answer)?;
+    }
+    Ok(log)
 }
 
-const HEADER: [&str; 12] = [
+fn answer<E>(
+    localizer: &mut Localizer,
+    scan: &LaserScan,
+    arrival: Duration,
+    on_answer: &mut impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
+) -> Result<(), E> {
+    let mut fix = localizer.on_scan(scan, arrival);
+    localizer.conclude(&mut fix);
+    on_answer(&Answer::Fix(Box::new(fix)), scan)?;
+    localizer.maintain(&Never);
+    Ok(())
+}
+
+fn pass_over<E>(
+    localizer: &Localizer,
+    scan: &LaserScan,
+    on_answer: &mut impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
+) -> Result<(), E> {
+    let stamp = scan.header.stamp.into();
+    let Some(map_from_base) = localizer.carried_to(stamp) else { return Ok(()) };
+    on_answer(&Answer::Between { stamp, map_from_base }, scan)
+}
+
+const HEADER: [&str; 14] = [
     "stamp",
     "x_m",
     "y_m",
@@ -65,7 +107,9 @@ const HEADER: [&str; 12] = [
     "share",
     "particles",
     "effective",
+    "beams",
     "fit",
+    "stop_reason",
     "elapsed_us",
 ];
 
@@ -83,7 +127,8 @@ impl<W: Write> BeliefFile<W> {
     }
 
     /// Writes the line of one scan; a scan that was of no use has none.
-    pub fn write(&mut self, answer: &Localized) -> csv::Result<()> {
+    pub fn write(&mut self, answer: &Answer) -> csv::Result<()> {
+        let Answer::Fix(answer) = answer else { return Ok(()) };
         let Ok(belief) = &answer.belief else { return Ok(()) };
         let pose = &belief.map_from_base;
         let mut record = vec![answer.stamp.to_string()];
@@ -91,7 +136,8 @@ impl<W: Write> BeliefFile<W> {
         record.extend([0, 1, 2].map(|i| format!("{:.6}", belief.covariance[(i, i)].max(0.0).sqrt())));
         record.push(format!("{:.4}", belief.share));
         record.push(belief.particles.to_string());
-        record.extend([format!("{:.1}", belief.effective), format!("{:.5}", belief.fit)]);
+        record.extend([format!("{:.1}", belief.effective), belief.beams.to_string(), format!("{:.5}", belief.fit)]);
+        record.push(answer.stop_reason.map_or("", StopReason::name).into());
         record.push(format!("{:.3}", microseconds(answer.elapsed)));
         self.writer.write_record(record)?;
         Ok(self.writer.flush()?)
@@ -104,16 +150,27 @@ pub struct LocalizationSummary {
     poses: Vec<StampedPose>,
     elapsed: Vec<Duration>,
     localized: usize,
+    between: usize,
     /// Stamp of the first scan after which the robot knew where it was.
     found: Option<Stamp>,
     particles: usize,
     effective: f64,
+    beams: usize,
+    late: usize,
+    worst_overrun: Duration,
     useless: BTreeMap<String, usize>,
 }
 
 impl LocalizationSummary {
     /// Takes an answer; tells its pose, if it has one.
-    pub fn add(&mut self, answer: &Localized) -> Option<StampedPose> {
+    pub fn add(&mut self, answer: &Answer) -> Option<StampedPose> {
+        let answer = match answer {
+            Answer::Fix(fix) => fix,
+            &Answer::Between { stamp, map_from_base } => {
+                self.between += 1;
+                return Some(StampedPose { stamp, pose: map_from_base });
+            }
+        };
         match &answer.belief {
             Ok(belief) => {
                 let pose = StampedPose { stamp: answer.stamp, pose: belief.map_from_base };
@@ -125,6 +182,9 @@ impl LocalizationSummary {
                 }
                 self.particles += belief.particles;
                 self.effective += belief.effective;
+                self.beams += belief.beams;
+                self.late += usize::from(!answer.overrun().is_zero());
+                self.worst_overrun = self.worst_overrun.max(answer.overrun());
                 Some(pose)
             }
             Err(problem) => {
@@ -140,9 +200,10 @@ impl LocalizationSummary {
         &self.poses
     }
 
-    fn means(&self) -> (f64, f64) {
+    /// Particles, how many of them are effective, and beams.
+    fn means(&self) -> (f64, f64, f64) {
         let scans = self.poses.len().max(1) as f64;
-        (self.particles as f64 / scans, self.effective / scans)
+        (self.particles as f64 / scans, self.effective / scans, self.beams as f64 / scans)
     }
 
     fn times(&self) -> [f64; 3] {
@@ -157,13 +218,17 @@ impl LocalizationSummary {
 
     /// One JSON object. `errors` are those against the truth, in the map: nothing is aligned.
     pub fn to_json(&self, errors: Option<&PoseErrors>, problems: &[String]) -> Value {
-        let ([p50, p99, max], (particles, effective)) = (self.times(), self.means());
+        let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         json!({
             "scans": self.poses.len(),
+            "passed_over": self.between,
             "localized": self.localized,
             "localized_after_s": self.seconds_to_find(),
             "mean_particles": particles,
             "mean_effective_particles": effective,
+            "mean_beams": beams,
+            "deadline_misses": self.late,
+            "worst_overrun_us": microseconds(self.worst_overrun),
             "time_us": {"p50": p50, "p99": p99, "max": max},
             "position_rmse_m": errors.map(|errors| errors.trans_m.rmse),
             "position_max_m": errors.map(|errors| errors.trans_m.max),
@@ -176,17 +241,24 @@ impl LocalizationSummary {
 
     /// A table for people.
     pub fn to_text(&self, errors: Option<&PoseErrors>, problems: &[String]) -> String {
-        let ([p50, p99, max], (particles, effective)) = (self.times(), self.means());
+        let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
         table.add_row(["scans", &self.poses.len().to_string()]);
+        if self.between > 0 {
+            table.add_row(["passed over", &format!("{}: the timer found newer ones", self.between)]);
+        }
         for (kind, count) in &self.useless {
             table.add_row(["not used", &format!("{count}: {kind}")]);
         }
         let found = self.seconds_to_find().map_or("never".into(), |seconds| format!("after {seconds:.2} s"));
         table.add_row(["localized", &format!("{} scans, first {found}", self.localized)]);
-        table.add_row(["particles", &format!("{particles:.0}, {effective:.0} of them effective")]);
+        table.add_row(["particles", &format!("{particles:.0}, {effective:.0} of them effective; {beams:.0} beams")]);
         table.add_row(["time per scan", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
+        if self.late > 0 {
+            let worst = microseconds(self.worst_overrun);
+            table.add_row(["late", &format!("{} answers, the worst by {worst:.0} us", self.late)]);
+        }
         if let Some(PoseErrors { trans_m, rot_deg, .. }) = errors {
             table.add_row(["position error", &format!("RMSE {:.4} m, max {:.4} m", trans_m.rmse, trans_m.max)]);
             table.add_row(["heading error", &format!("RMSE {:.4} deg, max {:.4} deg", rot_deg.rmse, rot_deg.max)]);

@@ -142,13 +142,14 @@ fn point(p: &Point) -> PointMessage {
     PointMessage { x: p.x, y: p.y, z: 0.0 }
 }
 
-fn pose(pose: &Pose2) -> Pose {
+/// A pose of the plane.
+pub(super) fn pose(pose: &Pose2) -> Pose {
     let (z, w) = (0.5 * pose.theta).sin_cos();
     Pose { position: PointMessage { x: pose.x, y: pose.y, z: 0.0 }, orientation: Quaternion { x: 0.0, y: 0.0, z, w } }
 }
 
 /// Order x, y, z, roll, pitch, yaw, row by row.
-fn covariance(planar: &PoseCovariance) -> [f64; 36] {
+pub(super) fn covariance(planar: &PoseCovariance) -> [f64; 36] {
     const PLACES: [usize; 3] = [0, 1, 5];
     let mut full = [0.0; 36];
     for unobserved in [2, 3, 4] {

@@ -1,5 +1,6 @@
 //! How the node is doing: `/diagnostics`, once a second by the wall clock.
 
+use std::collections::BTreeSet;
 use std::mem;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -19,7 +20,42 @@ use crate::odometry::Outcome;
 /// Time between two messages.
 pub(super) const PERIOD: Duration = Duration::from_secs(1);
 
-/// What the matching thread knows of itself, for others to see.
+/// Conditions that several nodes know.
+pub(super) const MOUNT_ASSUMED: &str = "the laser's place on the base is not known";
+pub(super) const TRANSFORM_WITHHELD: &str = "transform held back: another node publishes it";
+
+/// What a node does with scans, in its words.
+#[derive(Clone, Copy)]
+pub(super) struct Task {
+    /// `scan matching`
+    pub(super) title: &'static str,
+    /// `matching`
+    pub(super) doing: &'static str,
+    /// `matched`
+    pub(super) done: &'static str,
+}
+
+/// One answer.
+pub(super) struct Sample {
+    /// From the scan's arrival to the answer.
+    pub(super) elapsed: Duration,
+    /// How much later than asked for it was.
+    pub(super) overrun: Duration,
+    /// Why the scan was of no use; `None`: it was.
+    pub(super) problem: Option<String>,
+}
+
+impl From<&Estimate> for Sample {
+    fn from(estimate: &Estimate) -> Self {
+        let problem = match &estimate.registration.outcome {
+            Outcome::Predicted(problem) => Some(problem.clone()),
+            Outcome::Matched | Outcome::First => None,
+        };
+        Self { elapsed: estimate.elapsed, overrun: estimate.overrun(), problem }
+    }
+}
+
+/// What the thread that answers knows of itself, for others to see.
 #[derive(Default)]
 pub(super) struct Monitor {
     state: Mutex<State>,
@@ -30,8 +66,8 @@ struct State {
     counts: Counts,
     latencies: Vec<Duration>,
     problem: Option<String>,
-    mount_assumed: bool,
-    transform_withheld: bool,
+    /// What is not as it should be.
+    conditions: BTreeSet<&'static str>,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -45,15 +81,15 @@ struct Counts {
 }
 
 impl Monitor {
-    pub(super) fn record(&self, estimate: &Estimate) {
+    pub(super) fn record(&self, sample: Sample) {
         let mut state = self.lock();
         state.counts.answered += 1;
-        state.counts.late += u64::from(!estimate.deadline_met());
-        state.counts.worst_overrun = state.counts.worst_overrun.max(estimate.overrun());
-        state.latencies.push(estimate.elapsed);
-        if let Outcome::Predicted(problem) = &estimate.registration.outcome {
+        state.counts.late += u64::from(!sample.overrun.is_zero());
+        state.counts.worst_overrun = state.counts.worst_overrun.max(sample.overrun);
+        state.latencies.push(sample.elapsed);
+        if let Some(problem) = sample.problem {
             state.counts.failed += 1;
-            state.problem = Some(problem.clone());
+            state.problem = Some(problem);
         }
     }
 
@@ -66,12 +102,14 @@ impl Monitor {
         self.lock().counts.too_long = count;
     }
 
-    pub(super) fn set_mount_assumed(&self, assumed: bool) {
-        self.lock().mount_assumed = assumed;
-    }
-
-    pub(super) fn set_transform_withheld(&self) {
-        self.lock().transform_withheld = true;
+    /// Something is not as it should be, until it is said to be again.
+    pub(super) fn set_condition(&self, condition: &'static str, holds: bool) {
+        let mut state = self.lock();
+        if holds {
+            state.conditions.insert(condition);
+        } else {
+            state.conditions.remove(condition);
+        }
     }
 
     /// The state, and a new beginning for what is kept of one period only.
@@ -90,13 +128,14 @@ impl Monitor {
 pub(super) struct Diagnostics {
     output: Output<DiagnosticArray>,
     name: String,
+    task: Task,
     before: (Counts, Dropped),
 }
 
 impl Diagnostics {
-    pub(super) fn new(ros: &Ros) -> Result<Self, NodeError> {
-        let name = format!("{}: scan matching", ros.name().trim_start_matches('/'));
-        Ok(Self { output: Output::new(ros, "/diagnostics")?, name, before: (Counts::default(), Dropped::default()) })
+    pub(super) fn new(ros: &Ros, task: Task) -> Result<Self, NodeError> {
+        let name = format!("{}: {}", ros.name().trim_start_matches('/'), task.title);
+        Ok(Self { output: Output::new(ros, "/diagnostics")?, name, task, before: (Counts::default(), Dropped::default()) })
     }
 
     pub(super) fn role(&self) -> Role {
@@ -107,7 +146,7 @@ impl Diagnostics {
     pub(super) fn publish(&mut self, ros: &Ros, monitor: &Monitor, dropped: Dropped, master_present: bool, seconds: f64) {
         let state = monitor.take();
         let (counts_before, dropped_before) = mem::replace(&mut self.before, (state.counts, dropped));
-        let report = Report { state, counts_before, dropped, dropped_before, master_present, seconds };
+        let report = Report { task: self.task, state, counts_before, dropped, dropped_before, master_present, seconds };
         let (level, message) = report.verdict();
         let status =
             DiagnosticStatus { level, name: self.name.clone(), message, hardware_id: String::new(), values: report.values() };
@@ -117,6 +156,7 @@ impl Diagnostics {
 
 /// One period.
 struct Report {
+    task: Task,
     state: State,
     counts_before: Counts,
     dropped: Dropped,
@@ -138,22 +178,21 @@ impl Report {
         let problem = self.state.problem.as_deref().unwrap_or_default();
         let reasons: Vec<String> = [
             (answered == 0).then(|| "no scans".into()),
-            count(failed, &format!("of {answered} scans not matched ({problem})")),
+            count(failed, &format!("of {answered} scans not {} ({problem})", self.task.done)),
             count(dropped, "scans dropped"),
             count(self.since(|c| c.late), "answers later than the time budget"),
             count(self.since(|c| c.refused + c.too_long), "messages refused"),
             count(self.dropped.events - self.dropped_before.events, "messages other than scans dropped"),
-            self.state.mount_assumed.then(|| "the laser's place on the base is not known".into()),
-            self.state.transform_withheld.then(|| "transform held back: another node publishes it".into()),
             (!self.master_present).then(|| "the ROS master does not answer".into()),
         ]
         .into_iter()
         .flatten()
+        .chain(self.state.conditions.iter().map(|&condition| condition.into()))
         .collect();
         match (answered > 0 && failed == answered, reasons.is_empty()) {
             (true, _) => (DiagnosticStatus::ERROR, reasons.join("; ")),
             (false, false) => (DiagnosticStatus::WARN, reasons.join("; ")),
-            (false, true) => (DiagnosticStatus::OK, "matching".into()),
+            (false, true) => (DiagnosticStatus::OK, self.task.doing.into()),
         }
     }
 
@@ -162,10 +201,11 @@ impl Report {
         let mut latencies = self.state.latencies.clone();
         latencies.sort_unstable();
         let latency = |percent| format!("{:.3}", percentile(&latencies, percent).unwrap_or_default().as_secs_f64() * 1e3);
+        let not_done = format!("scans not {}", self.task.done);
         [
             ("rate [Hz]", format!("{:.1}", self.since(|c| c.answered) as f64 / self.seconds)),
             ("scans answered", counts.answered.to_string()),
-            ("scans not matched", counts.failed.to_string()),
+            (not_done.as_str(), counts.failed.to_string()),
             ("scans dropped", self.dropped.scans.to_string()),
             ("deadline misses", counts.late.to_string()),
             ("deadline misses [%]", format!("{:.3}", 100.0 * counts.late as f64 / counts.answered.max(1) as f64)),
@@ -186,6 +226,7 @@ mod tests {
 
     fn report(counts: Counts, problem: Option<&str>) -> Report {
         Report {
+            task: Task { title: "scan matching", doing: "matching", done: "matched" },
             state: State { counts, problem: problem.map(Into::into), ..Default::default() },
             counts_before: Counts { answered: 10, ..Default::default() },
             dropped: Dropped::default(),

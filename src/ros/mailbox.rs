@@ -16,10 +16,10 @@ const CAPACITY_BYTES: usize = 32 << 20;
 
 /// Anything but a scan.
 #[derive(Debug, PartialEq)]
-pub(super) enum Event {
+pub(super) enum Event<I = Input> {
     /// A message.
-    Message(Input, Letter),
-    /// A call of the service `reset`.
+    Message(I, Letter),
+    /// A call of the node's service.
     Reset,
     /// A call of the service `save_profile`.
     SaveProfile,
@@ -27,7 +27,7 @@ pub(super) enum Event {
     Change(MatchingChange),
 }
 
-impl Event {
+impl<I> Event<I> {
     fn bytes(&self) -> usize {
         match self {
             Self::Message(_, letter) => letter.bytes.len(),
@@ -37,30 +37,45 @@ impl Event {
 }
 
 /// What there is to do: the events first, in their order of arrival, then the scan.
-#[derive(Debug, Default, PartialEq)]
-pub(super) struct Work {
-    pub(super) events: VecDeque<Event>,
+#[derive(Debug, PartialEq)]
+pub(super) struct Work<I = Input> {
+    pub(super) events: VecDeque<Event<I>>,
     pub(super) scan: Option<Letter>,
 }
 
-/// Work for the matching thread. Of scans only the newest is kept: an answer to an old one helps nobody.
-#[derive(Default)]
-pub(super) struct Mailbox {
-    state: Mutex<State>,
+impl<I> Default for Work<I> {
+    fn default() -> Self {
+        Self { events: VecDeque::new(), scan: None }
+    }
+}
+
+/// Work for a node's one thread. Of scans only the newest is kept: an answer to an old one helps nobody. `I`: the inputs of the node.
+pub(super) struct Mailbox<I = Input> {
+    state: Mutex<State<I>>,
     filled: Condvar,
 }
 
-#[derive(Default)]
-struct State {
-    work: Work,
+impl<I> Default for Mailbox<I> {
+    fn default() -> Self {
+        let state = State { work: Work::default(), bytes: 0, dropped: Dropped::default(), closed: false };
+        Self { state: Mutex::new(state), filled: Condvar::new() }
+    }
+}
+
+struct State<I> {
+    work: Work<I>,
     /// Of the events' messages.
     bytes: usize,
     dropped: Dropped,
     closed: bool,
 }
 
-impl State {
-    fn take_events(&mut self) -> VecDeque<Event> {
+impl<I> State<I> {
+    fn take(&mut self) -> Work<I> {
+        Work { events: self.take_events(), scan: self.work.scan.take() }
+    }
+
+    fn take_events(&mut self) -> VecDeque<Event<I>> {
         self.bytes = 0;
         mem::take(&mut self.work.events)
     }
@@ -83,7 +98,7 @@ pub(super) struct Dropped {
     pub(super) events: u64,
 }
 
-impl Mailbox {
+impl<I> Mailbox<I> {
     pub(super) fn put_scan(&self, letter: Letter) {
         let mut state = self.lock();
         let overwritten = state.work.scan.replace(letter).is_some();
@@ -91,7 +106,7 @@ impl Mailbox {
         self.filled.notify_one();
     }
 
-    pub(super) fn put_event(&self, event: Event) {
+    pub(super) fn put_event(&self, event: Event<I>) {
         let mut state = self.lock();
         state.bytes += event.bytes();
         state.work.events.push_back(event);
@@ -110,13 +125,20 @@ impl Mailbox {
     }
 
     /// Waits for work. `None` once the mailbox is closed.
-    pub(super) fn take(&self) -> Option<Work> {
+    pub(super) fn take(&self) -> Option<Work<I>> {
         let mut state = self.filled.wait_while(self.lock(), State::is_idle).unwrap_or_else(PoisonError::into_inner);
-        (!state.closed).then(|| Work { events: state.take_events(), scan: state.work.scan.take() })
+        (!state.closed).then(|| state.take())
+    }
+
+    /// Waits for work, but no longer than `timeout`: then there may be none. `None` once the mailbox is closed.
+    pub(super) fn take_within(&self, timeout: Duration) -> Option<Work<I>> {
+        let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle);
+        let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        (!state.closed).then(|| state.take())
     }
 
     /// Waits for events while a scan is held back: at most `timeout`, and no longer once a newer scan is here. `None`: none came.
-    pub(super) fn take_events(&self, timeout: Duration) -> Option<VecDeque<Event>> {
+    pub(super) fn take_events(&self, timeout: Duration) -> Option<VecDeque<Event<I>>> {
         let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         let events = state.take_events();
@@ -144,7 +166,7 @@ impl Mailbox {
     }
 
     /// The state is whole at every moment, even if a thread should have died with the lock in its hand.
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, State<I>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -159,7 +181,7 @@ mod tests {
 
     #[test]
     fn the_newest_scan_wins_and_events_keep_their_order() {
-        let mailbox = Mailbox::default();
+        let mailbox: Mailbox = Mailbox::default();
         mailbox.put_event(Event::Message(Input::Odometry, letter(1)));
         mailbox.put_scan(letter(2));
         mailbox.put_event(Event::Reset);
@@ -172,7 +194,7 @@ mod tests {
 
     #[test]
     fn a_full_mailbox_loses_the_oldest_events_and_counts_them() {
-        let mailbox = Mailbox::default();
+        let mailbox: Mailbox = Mailbox::default();
         for arrival in 0..CAPACITY as u64 + 2 {
             mailbox.put_event(Event::Message(Input::Odometry, letter(arrival)));
         }
@@ -196,7 +218,7 @@ mod tests {
 
     #[test]
     fn a_held_scan_waits_for_events_but_not_for_ever() {
-        let mailbox = Mailbox::default();
+        let mailbox: Mailbox = Mailbox::default();
         assert_eq!(mailbox.take_events(Duration::from_millis(1)), None);
         mailbox.put_event(Event::Reset);
         assert_eq!(mailbox.take_events(Duration::from_secs(60)), Some(VecDeque::from([Event::Reset])));
@@ -205,8 +227,18 @@ mod tests {
     }
 
     #[test]
+    fn a_timer_is_not_held_up_where_there_is_nothing() {
+        let mailbox: Mailbox = Mailbox::default();
+        assert_eq!(mailbox.take_within(Duration::from_millis(1)), Some(Work::default()));
+        mailbox.put_scan(letter(1));
+        assert_eq!(mailbox.take_within(Duration::from_secs(60)).unwrap().scan, Some(letter(1)));
+        mailbox.close();
+        assert_eq!(mailbox.take_within(Duration::from_secs(60)), None);
+    }
+
+    #[test]
     fn closing_ends_the_wait() {
-        let mailbox = Mailbox::default();
+        let mailbox: Mailbox = Mailbox::default();
         std::thread::scope(|scope| {
             let waiting = scope.spawn(|| mailbox.take());
             mailbox.close();

@@ -7,7 +7,7 @@ use std::time::Duration;
 use serde::Deserialize;
 
 use super::convert::Answer;
-use super::diagnostics::Monitor;
+use super::diagnostics::{MOUNT_ASSUMED, Monitor, TRANSFORM_WITHHELD};
 use super::inlet::Letter;
 use super::interrupts::{Interrupts, LOOK};
 use super::live_params::MatchingChange;
@@ -220,7 +220,7 @@ impl Matcher {
                  (parameter publish_tf)",
                 rival.header.frame_id,
             ));
-            self.monitor.set_transform_withheld();
+            self.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
     }
 
@@ -239,7 +239,7 @@ impl Matcher {
             self.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
         }
         self.watch_mount();
-        self.monitor.record(&estimate);
+        self.monitor.record((&estimate).into());
     }
 
     /// What the answer is wanted for, and the time it took. Its number.
@@ -270,7 +270,7 @@ impl Matcher {
             return;
         }
         self.mount_told = Some(source);
-        self.monitor.set_mount_assumed(source == MountSource::Assumed);
+        self.monitor.set_condition(MOUNT_ASSUMED, source == MountSource::Assumed);
         let place = mount.base_from_laser;
         let head = if mount.upside_down { ", upside down" } else { "" };
         let text = format!("[{:.3} m, {:.3} m, {:.3} rad]{head}", place.x, place.y, place.theta);

@@ -1,8 +1,9 @@
-//! The ROS 1 nodes: the one around [`App`](crate::app::App), a controller for it, and a simulator. Nothing else in this project knows of rosrust.
+//! The ROS 1 nodes: the one around [`App`](crate::app::App), the particle filter, a controller, and a simulator. Nothing else in this
+//! project knows of rosrust.
 //!
 //! ```text
 //!  threads of links           matching thread               main thread
-//!  subscriptions --> mailbox --> matcher --> publishers     node: signals, diagnostics at 1 Hz, the master
+//!  subscriptions --> mailbox --> matcher --> publishers     supervisor: signals, diagnostics at 1 Hz, the master
 //! ```
 //!
 //! Invariants: callbacks only note the arrival and fill the `mailbox`, so that nothing that is slow ever delays reception; a scan is
@@ -25,6 +26,7 @@ mod matcher;
 mod node;
 mod outlet;
 mod params;
+pub mod particle_filter;
 mod path;
 mod priority;
 mod publishers;
@@ -34,6 +36,7 @@ mod shell;
 mod shutdown;
 mod sockets;
 mod subscriptions;
+mod supervisor;
 mod tcpros;
 mod transform_output;
 

@@ -1,43 +1,40 @@
-//! The node as a whole: puts the parts together and looks after them.
+//! The scan matcher as a whole: puts the parts together.
 
 use std::sync::Arc;
-use std::thread;
-use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
 
-use super::NodeError;
 use super::compat::{self, Face};
-use super::diagnostics::{self, Diagnostics, Monitor};
+use super::diagnostics::{Diagnostics, Monitor, Task};
 use super::interrupts::Interrupts;
 use super::links::Links;
 use super::live_params::{Change, ParameterWatch};
-use super::log::{Log, ROSOUT};
+use super::log::Log;
 use super::mailbox::{Event, Mailbox};
-use super::master::{MasterLink, Role, resolved};
+use super::master::{MasterLink, resolved};
 use super::matcher::{Matcher, Shared};
 use super::publishers::Publishers;
-use super::services::Services;
 use super::shutdown::StopSignal;
-use super::subscriptions::subscribe;
+use super::subscriptions::{Input, subscribe};
+use super::supervisor::{self, Parts, Supervisor};
 use super::transform_output::TransformOutput;
-use super::{params, shell};
+use super::{NodeError, params, services, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
 use crate::app::App;
 use crate::config::Config;
 
 const NAME: &str = "scan_matcher";
-/// How often the node looks whether it is to stop.
-const TICK: Duration = Duration::from_millis(100);
+/// The service that starts again, and what it answers.
+const RESET: (&str, &str) = ("~reset", "the next scan is the first one, at the initial pose");
+const TASK: Task = Task { title: "scan matching", doing: "matching", done: "matched" };
 
 /// Runs the node `scan_matcher` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
 /// parameters.
 pub fn run() -> Result<(), NodeError> {
     shell::run(NAME, |ros, master, stop| {
         let config = params::read(master, ros.name())?;
-        Node::start(ros, master, &config, &Face::native(&config))?.supervise(stop);
-        Ok(())
+        serve(ros, master, stop, &config, &Face::native(&config))
     })
 }
 
@@ -45,121 +42,91 @@ pub fn run() -> Result<(), NodeError> {
 pub fn run_as_laser_scan_matcher() -> Result<(), NodeError> {
     shell::run(NAME, |ros, master, stop| {
         let (config, face) = compat::read(master, ros.name())?;
-        Node::start(ros, master, &config, &face)?.supervise(stop);
-        Ok(())
+        serve(ros, master, stop, &config, &face)
     })
 }
 
-struct Node<'a> {
-    ros: &'a Ros,
-    clock: Arc<dyn Clock>,
-    mailbox: Arc<Mailbox>,
-    monitor: Arc<Monitor>,
-    diagnostics: Diagnostics,
-    master: MasterLink<'a>,
-    matching: thread::JoinHandle<()>,
-    links: Links<'a>,
-    log: Log,
-    parameters: ParameterWatch<'a>,
-    transform: Arc<TransformOutput>,
-    // Dropping it ends them.
-    _services: Services,
+fn serve(ros: &Ros, master: &Master, stop: &StopSignal, config: &Config, face: &Face) -> Result<(), NodeError> {
+    let log = Log::new(ros)?;
+    if !face.ignored.is_empty() {
+        log.warn(&format!("these parameters mean nothing here and are ignored: {}", face.ignored.join(", ")));
+    }
+    let transform = Arc::new(TransformOutput::default());
+    transform.switch(ros, config.frames.publish_tf)?;
+    let parts = start(ros, config, face, &log, &transform)?;
+    let mut changes = Changes {
+        watch: ParameterWatch::new(master, ros.name(), config)?,
+        mailbox: Arc::clone(&parts.mailbox),
+        transform,
+        ros,
+        log: log.clone(),
+    };
+    let supervisor = Supervisor::new(ros, master, parts, &log)?;
+    announce(ros, &log, config)?;
+    supervisor.run(stop, |master| changes.look(master));
+    Ok(())
 }
 
-impl<'a> Node<'a> {
-    fn start(ros: &'a Ros, master: &'a Master, config: &Config, face: &Face) -> Result<Self, NodeError> {
-        let log = Log::new(ros)?;
-        if !face.ignored.is_empty() {
-            log.warn(&format!("these parameters mean nothing here and are ignored: {}", face.ignored.join(", ")));
-        }
-        let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
-        let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
-        let interrupts = Arc::new(Interrupts::new(config.contract.shared_memory.as_deref())?);
-        let mut app = App::new(config, Arc::clone(&clock))?;
-        app.warm_up()?;
-        app.set_interrupt(Arc::clone(&interrupts) as Arc<_>);
-        let transform = Arc::new(TransformOutput::default());
-        transform.switch(ros, config.frames.publish_tf)?;
-        let publishers = Publishers::new(ros, Arc::clone(&transform), face)?;
-        let diagnostics = Diagnostics::new(ros)?;
-        let mut roles = publishers.roles();
-        roles.extend(face.inputs.iter().map(|input| input.topic().role()));
-        roles.extend([diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
-        let contract = app.contract();
+fn start<'a>(
+    ros: &'a Ros,
+    config: &Config,
+    face: &Face,
+    log: &Log,
+    transform: &Arc<TransformOutput>,
+) -> Result<Parts<'a, Input>, NodeError> {
+    let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
+    let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
+    let interrupts = Arc::new(Interrupts::new(config.contract.shared_memory.as_deref())?);
+    let mut app = App::new(config, Arc::clone(&clock))?;
+    app.warm_up()?;
+    app.set_interrupt(Arc::clone(&interrupts) as Arc<_>);
+    let publishers = Publishers::new(ros, Arc::clone(transform), face)?;
+    let diagnostics = Diagnostics::new(ros, TASK)?;
+    let mut roles = publishers.roles();
+    roles.extend(face.inputs.iter().map(|input| input.topic().role()));
 
-        let (mut services, replies) = Services::new(&mailbox);
-        let shared = Shared {
-            mailbox: Arc::clone(&mailbox),
-            interrupts: Arc::clone(&interrupts),
-            clock: Arc::clone(&clock),
-            monitor: Arc::clone(&monitor),
-            replies,
-            log: log.clone(),
-        };
-        let matcher = Matcher::new(app, publishers, shared);
-        let matching = thread::Builder::new()
-            .name("matching".into())
-            .spawn(|| matcher.run())
-            .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
-        let links = Links::new(ros, &clock, &log)?;
-        face.inputs.iter().try_for_each(|&input| subscribe(&links, input, &mailbox, &interrupts))?;
-        services.offer(ros)?;
-        roles.extend(services.roles(ros)?);
-        let parameters = ParameterWatch::new(master, ros.name(), config)?;
-        let master = MasterLink::new(ros, master, roles, &log)?;
-        announce(ros, &log, config, &contract)?;
-        Ok(Self {
-            ros,
-            clock,
-            mailbox,
-            monitor,
-            diagnostics,
-            master,
-            matching,
-            links,
-            log,
-            parameters,
-            transform,
-            _services: services,
-        })
-    }
+    let (save_profile, replies) = services::save_profile(ros, &mailbox)?;
+    let services = vec![services::reset(ros, RESET, &mailbox)?, save_profile];
+    let shared = Shared {
+        mailbox: Arc::clone(&mailbox),
+        interrupts: Arc::clone(&interrupts),
+        clock: Arc::clone(&clock),
+        monitor: Arc::clone(&monitor),
+        replies,
+        log: log.clone(),
+    };
+    let matcher = Matcher::new(app, publishers, shared);
+    let worker = supervisor::spawn("matching", || matcher.run())?;
+    let links = Links::new(ros, &clock, log)?;
+    face.inputs.iter().try_for_each(|&input| subscribe(&links, input, &mailbox, &interrupts))?;
+    Ok(Parts { clock, mailbox, monitor, diagnostics, worker, links, services, roles })
+}
 
-    /// Once a second: the master and the diagnostics. Until somebody wants the node to stop.
-    fn supervise(mut self, stop: &StopSignal) {
-        let mut last = self.clock.now();
-        while !stop.wait(TICK) && self.ros.is_ok() {
-            let elapsed = self.clock.now().saturating_sub(last);
-            if elapsed >= diagnostics::PERIOD {
-                last = self.clock.now();
-                self.master.check();
-                if self.master.is_present() {
-                    self.look_after_parameters();
-                }
-                self.monitor.set_too_long(self.links.refused());
-                let (dropped, present) = (self.mailbox.dropped(), self.master.is_present());
-                self.diagnostics.publish(self.ros, &self.monitor, dropped, present, elapsed.as_secs_f64());
-            }
-        }
-        self.mailbox.close();
-        let _ = self.matching.join(); // a panic there has been reported by now
-    }
+/// Parameters that are changed while the node runs.
+struct Changes<'a> {
+    watch: ParameterWatch<'a>,
+    mailbox: Arc<Mailbox>,
+    transform: Arc<TransformOutput>,
+    ros: &'a Ros,
+    log: Log,
+}
 
-    fn look_after_parameters(&mut self) {
-        for (name, change) in self.parameters.look() {
-            let done = change.and_then(|change| self.apply(change));
-            match done {
+impl Changes<'_> {
+    fn look(&mut self, master: &mut MasterLink) {
+        for (name, change) in self.watch.look() {
+            match change.and_then(|change| self.apply(change, master)) {
                 Ok(()) => self.log.info(&format!("parameter {name}: in force from now on")),
                 Err(problem) => self.log.error(&format!("parameter {name}: no effect: {problem}")),
             }
         }
     }
 
-    fn apply(&mut self, change: Change) -> Result<(), String> {
+    fn apply(&self, change: Change, master: &mut MasterLink) -> Result<(), String> {
         match change {
             Change::Matching(change) => self.mailbox.put_event(Event::Change(change)),
             Change::PublishTransform(on) => {
                 self.transform.switch(self.ros, on).map_err(|error| error.to_string())?;
-                self.transform.role().into_iter().for_each(|role| self.master.add(role));
+                self.transform.role().into_iter().for_each(|role| master.add(role));
             }
         }
         Ok(())
@@ -167,7 +134,8 @@ impl<'a> Node<'a> {
 }
 
 /// Says that the node is ready, and what for.
-fn announce(ros: &Ros, log: &Log, config: &Config, contract: &Contract) -> Result<(), NodeError> {
+fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
+    let contract = Contract::try_from(&config.contract)?;
     let [scan, odometry, pose] =
         [if config.cloud.input { "cloud" } else { "scan" }, "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
     let frames = &config.frames;
@@ -179,12 +147,13 @@ fn announce(ros: &Ros, log: &Log, config: &Config, contract: &Contract) -> Resul
         frames.odom_frame,
         frames.base_frame,
         if frames.publish_tf { ", also on /tf" } else { "" },
-        describe(contract),
+        describe(&contract),
     ));
     Ok(())
 }
 
-fn describe(contract: &Contract) -> String {
+/// A contract in words.
+pub(super) fn describe(contract: &Contract) -> String {
     let limits: Vec<String> = [
         contract.time_budget.map(|budget| format!("within {budget:?}")),
         contract.translation_error_bound.map(|bound| format!("to {bound} m")),

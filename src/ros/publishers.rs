@@ -51,7 +51,7 @@ impl<T> Output<T> {
         self
     }
 
-    fn has_listeners(&self) -> bool {
+    pub(super) fn has_listeners(&self) -> bool {
         self.publisher.subscriber_count() > 0
     }
 

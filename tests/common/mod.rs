@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anytime_scan_matcher::geometry::{Point, Pose2};
+use anytime_scan_matcher::map::grid::{Cell, OccupancyGrid};
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::scan::{BeamGeometry, Scan};
 use anytime_scan_matcher::time::Stamp;
@@ -19,6 +20,19 @@ pub fn shared(path: &str) -> Option<PathBuf> {
     }
     eprintln!("SKIPPED: {} is not there; this test checks nothing", path.display());
     None
+}
+
+/// A rectangular corridor with some niches, so that its four sides differ.
+pub fn corridor() -> OccupancyGrid {
+    let wall = |x: usize, y: usize| {
+        let outside = x == 0 || y == 0 || x == 399 || y == 299;
+        let block = (60..340).contains(&x) && (60..240).contains(&y);
+        let niche = (100..130).contains(&x) && (60..80).contains(&y) || (320..340).contains(&x) && (150..200).contains(&y);
+        let crate_ = (200..212).contains(&x) && (285..299).contains(&y) || x < 12 && (90..100).contains(&y);
+        outside || block && !niche || crate_
+    };
+    let cells = (0..400 * 300).map(|i| if wall(i % 400, i / 400) { Cell::Occupied } else { Cell::Free }).collect();
+    OccupancyGrid::new(400, 0.05, Pose2::new(-4.0, 2.0, 0.0), cells).unwrap()
 }
 
 /// Corners of a room with slanted walls and a pillar, m.

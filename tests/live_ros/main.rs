@@ -10,6 +10,7 @@ mod contracts;
 mod drive;
 #[path = "../common/graph.rs"]
 mod graph;
+mod localization;
 mod mounts;
 mod peer;
 mod racecar_sim;
@@ -24,9 +25,9 @@ use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::messages::ackermann_msgs::AckermannDriveStamped;
 use anytime_scan_matcher::messages::geometry_msgs::{
-    PoseStamped, PoseWithCovarianceStamped, TransformStamped, Twist, TwistStamped,
+    PointStamped, PoseStamped, PoseWithCovarianceStamped, TransformStamped, Twist, TwistStamped,
 };
-use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::nav_msgs::{OccupancyGrid, Odometry};
 use anytime_scan_matcher::messages::own::{self, Contract};
 use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use anytime_scan_matcher::messages::std_msgs::{Empty, Header, Int32};
@@ -91,6 +92,8 @@ fn message_types_are_those_of_the_ros_installed() {
         pair::<PoseStamped, rosrust_msg::geometry_msgs::PoseStamped>(),
         pair::<PoseWithCovarianceStamped, rosrust_msg::geometry_msgs::PoseWithCovarianceStamped>(),
         pair::<TransformStamped, rosrust_msg::geometry_msgs::TransformStamped>(),
+        pair::<PointStamped, rosrust_msg::geometry_msgs::PointStamped>(),
+        pair::<OccupancyGrid, rosrust_msg::nav_msgs::OccupancyGrid>(),
     ];
     pair::<PointCloud2, rosrust_msg::sensor_msgs::PointCloud2>();
     pair::<Imu, rosrust_msg::sensor_msgs::Imu>();
@@ -99,17 +102,25 @@ fn message_types_are_those_of_the_ros_installed() {
     pair::<TwistStamped, rosrust_msg::geometry_msgs::TwistStamped>();
     pair::<Contract, rosrust_msg::anytime_scan_matcher::Contract>();
     pair::<own::MatchReport, MatchReport>();
+    pair::<own::FilterReport, rosrust_msg::anytime_scan_matcher::FilterReport>();
     pair::<Int32, rosrust_msg::std_msgs::Int32>();
     pair::<Empty, rosrust_msg::std_msgs::Empty>();
     let outputs = [
         rosrust_msg::std_msgs::Int32::md5sum(),
         rosrust_msg::nav_msgs::Path::md5sum(),
+        rosrust_msg::geometry_msgs::PoseArray::md5sum(),
         rosrust_msg::visualization_msgs::Marker::md5sum(),
         rosrust_msg::diagnostic_msgs::DiagnosticArray::md5sum(),
         rosrust_msg::rosgraph_msgs::Log::md5sum(),
     ];
-    let output_types =
-        ["std_msgs/Int32", "nav_msgs/Path", "visualization_msgs/Marker", "diagnostic_msgs/DiagnosticArray", "rosgraph_msgs/Log"];
+    let output_types = [
+        "std_msgs/Int32",
+        "nav_msgs/Path",
+        "geometry_msgs/PoseArray",
+        "visualization_msgs/Marker",
+        "diagnostic_msgs/DiagnosticArray",
+        "rosgraph_msgs/Log",
+    ];
     let Some(graph) = Graph::without_master() else { return };
     let (names, expected): (Vec<&str>, Vec<&str>) =
         types.into_iter().chain(output_types.into_iter().zip(outputs.iter().map(String::as_str))).unzip();

@@ -6,6 +6,7 @@ use std::time::Duration;
 #[cfg(target_os = "linux")]
 use anytime_scan_matcher::anytime::clock::ProcessorClock;
 use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock, VirtualClock};
+use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::io::bag::{Bag, BagError};
 use anytime_scan_matcher::replay::Topics;
 use clap::{Args, ValueEnum};
@@ -60,6 +61,13 @@ impl ClockChoice {
             #[cfg(target_os = "linux")]
             Self::Processor => "processor",
             Self::Virtual => "virtual",
+        }
+    }
+
+    /// Processor time is that of one thread: it must do all the work.
+    pub(crate) fn prepare(self, config: &mut Config) {
+        if self.name() == "processor" {
+            config.localization.threads = 1;
         }
     }
 

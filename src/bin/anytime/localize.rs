@@ -2,9 +2,10 @@
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::{Context, bail};
-use anytime_scan_matcher::anytime::clock::MonotonicClock;
 use anytime_scan_matcher::app::MountSource;
 use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::evaluation::association::associate;
@@ -14,38 +15,33 @@ use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::io::tum::TumWriter;
+use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::replay::localize::{BeliefFile, LocalizationSummary, errors, localize};
-use anytime_scan_matcher::replay::{Topics, truth};
+use anytime_scan_matcher::replay::truth;
 use clap::Args;
 
-use crate::configuration::Configuration;
+use crate::input_flags::InputFlags;
 use crate::progress;
 
 /// Find the robot of a bag on a map, by a particle filter
 #[derive(Args)]
 pub(crate) struct Arguments {
     bag: PathBuf,
-    /// The map: a YAML file of `map_server`
+    /// The map: a YAML file of `map_server` [default: `localization.map`]
     #[arg(long, value_name = "M.yaml")]
-    map: PathBuf,
+    map: Option<PathBuf>,
     /// Number of particles [default: `localization.particles`]
     #[arg(long)]
     particles: Option<u32>,
     /// Nothing is known of where the robot starts
     #[arg(long, conflicts_with = "initial_pose")]
     global: bool,
-    /// Where the robot starts, m and rad [default: the first true pose; without a truth, the origin of the map]
+    /// Where the robot starts, m and rad [default: `localization.initial_pose`; else the first true pose; else the origin of the map]
     #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
     initial_pose: Option<Pose2>,
-    /// True poses on the map to compare with: a TUM file, or a topic of the bag
-    #[arg(long, value_name = "FILE|TOPIC")]
-    truth: Option<String>,
-    /// Topic of the laser scans
-    #[arg(long, default_value = "/scan")]
-    scan_topic: String,
-    /// Topic of the wheel odometry [default: /odom, if the bag has it]
-    #[arg(long)]
-    odom_topic: Option<String>,
+    /// Time from a scan's arrival to its pose, such as 5ms [default: `contract.time_budget`]
+    #[arg(long, value_parser = humantime::parse_duration)]
+    time_budget: Option<Duration>,
     /// Write the pose of every scan; `anytime profile` takes it for a truth
     #[arg(long, value_name = "OUT.tum")]
     tum: Option<PathBuf>,
@@ -56,7 +52,7 @@ pub(crate) struct Arguments {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
-    configuration: Configuration,
+    input: InputFlags,
 }
 
 fn pose(text: &str) -> Result<Pose2, String> {
@@ -68,24 +64,35 @@ fn pose(text: &str) -> Result<Pose2, String> {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
-    let mut config = arguments.configuration.load()?;
+    let mut config = arguments.input.configuration.load()?;
     if let Some(particles) = arguments.particles {
         config.set("localization.particles", &particles.into(), "--particles")?;
     }
+    if let Some(budget) = arguments.time_budget {
+        config.contract.time_budget = Seconds(budget.as_secs_f64());
+    }
+    arguments.input.clock.prepare(&mut config);
+    let clock = arguments.input.clock.clock();
     let bag = Bag::open(&arguments.bag)?;
-    let topics = Topics::resolve(&bag, &arguments.scan_topic, arguments.odom_topic.as_deref())?;
-    let truth = arguments.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
-    let mut localizer = Localizer::new(map_file::read(&arguments.map)?, &config)?;
-    if !arguments.global {
+    let topics = arguments.input.topics(&bag)?;
+    let truth = arguments.input.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
+    let map = arguments.map.clone().or(config.localization.map.as_ref().map(PathBuf::from));
+    let map = map.context("there is no map: --map M.yaml, or the parameter localization.map")?;
+    let mut localizer = Localizer::new(map_file::read(&map)?, &config, Arc::clone(&clock))?;
+    localizer.warm_up();
+    if arguments.global {
+        localizer.spread();
+    } else {
         let first_truth = truth.as_ref().map(|truth| truth.ends().0.pose);
-        localizer.start_at(&arguments.initial_pose.or(first_truth).unwrap_or_default(), None);
+        let start = arguments.initial_pose.or(config.localization.initial_pose).or(first_truth);
+        localizer.start_at(&start.unwrap_or_default(), None);
     }
     let mut tum = arguments.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
     let mut csv = arguments.csv.as_deref().map(create).transpose()?.map(BeliefFile::new).transpose()?;
     let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
     let mut summary = LocalizationSummary::default();
     let tick = || progress.inc(1);
-    let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &MonotonicClock::default(), tick, |answer| {
+    let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &*clock, tick, |answer, _| {
         if let (Some(pose), Some(tum)) = (summary.add(answer), &mut tum) {
             tum.write(&pose).context("cannot write the trajectory")?;
         }

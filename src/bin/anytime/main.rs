@@ -34,7 +34,7 @@ struct Cli {
 enum Command {
     Replay(replay_flags::Arguments),
     Localize(localize::Arguments),
-    Profile(profile_flags::Arguments),
+    Profile(Box<profile_flags::Arguments>),
     Info(info::Arguments),
     Simulate(simulate::Arguments),
     Evaluate(evaluate::Arguments),

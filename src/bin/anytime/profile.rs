@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use anytime_scan_matcher::io::bag::{Bag, Compression};
+use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::profile::plan::Plan;
@@ -21,8 +22,10 @@ const SIMULATED_TRUTH: &str = "/gt_pose";
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { out, input, .. } = arguments;
-    let config = input.configuration.load()?;
-    let plan = Plan::new(&config, &arguments.variants(), &arguments.sweeps()?, arguments.rounds, arguments.seed)?;
+    let mut config = input.configuration.load()?;
+    input.clock.prepare(&mut config);
+    let map = arguments.map.as_deref().map(map_file::read).transpose()?;
+    let plan = Plan::new(&config, &arguments.variants()?, &arguments.sweeps()?, arguments.rounds, arguments.seed)?;
     fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
     let path = bag_path(arguments)?;
     let bag = Bag::open(&path)?;
@@ -31,7 +34,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let truth = truth::load(&truth_name, &bag)?;
     let new_clock = || input.clock.clock();
     let study = Study {
-        input: Input { bag: &bag, topics: &topics, truth: &truth },
+        input: Input { bag: &bag, topics: &topics, truth: &truth, map: map.as_ref() },
         config: &config,
         plan: &plan,
         new_clock: &new_clock,

@@ -30,9 +30,13 @@ pub(crate) struct Arguments {
     /// Try these values of the knob, such as 1,2,4,8 or 1ms,5ms [default: those of the knob]
     #[arg(long, value_delimiter = ',', requires = "knob")]
     values: Vec<String>,
-    /// Profile this variant, such as `jump_table+point_to_line`; may be given many times [default: every search with every solver]
+    /// Profile this variant, such as `jump_table+point_to_line` or `particle_filter`; may be given many times [default: every search
+    /// with every solver]
     #[arg(long, value_name = "SEARCH+SOLVER")]
     variant: Vec<Variant>,
+    /// Profile the particle filter beside them, on this map, a YAML file of `map_server`; the truth is to be given in its frame
+    #[arg(long, value_name = "M.yaml")]
+    pub(crate) map: Option<PathBuf>,
     /// Run each case so often, interleaved with all others
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) rounds: u32,
@@ -50,8 +54,22 @@ fn knob_help() -> String {
 }
 
 impl Arguments {
-    pub(crate) fn variants(&self) -> Vec<Variant> {
-        if self.variant.is_empty() { Variant::all() } else { self.variant.clone() }
+    pub(crate) fn variants(&self) -> anyhow::Result<Vec<Variant>> {
+        let mut variants = if self.variant.is_empty() { Variant::matchers() } else { self.variant.clone() };
+        match (variants.contains(&Variant::Filter), &self.map) {
+            (true, None) => anyhow::bail!("the particle filter needs a map: --map M.yaml"),
+            (false, Some(_)) => variants.push(Variant::Filter),
+            _ => {}
+        }
+        for &knob in &self.knob {
+            let is_turned = variants.iter().any(|&variant| knob.is_of(variant));
+            anyhow::ensure!(
+                is_turned,
+                "--knob {}: none of the variants has it (those of the particle filter take --map M.yaml)",
+                knob.name()
+            );
+        }
+        Ok(variants)
     }
 
     pub(crate) fn sweeps(&self) -> anyhow::Result<Vec<Sweep>> {

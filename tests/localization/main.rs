@@ -1,37 +1,29 @@
 //! The particle filter on simulated drives through real maps.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stderr, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 
+#[path = "../common/mod.rs"]
 mod common;
+mod contract;
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock};
+use anytime_scan_matcher::anytime::interrupt::Never;
 use anytime_scan_matcher::app::localizer::{Localizer, NoEvidence};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::localization::filter::Belief;
-use anytime_scan_matcher::map::grid::{Cell, OccupancyGrid};
+use anytime_scan_matcher::map::grid::OccupancyGrid;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
-use common::shared;
-
-/// A rectangular corridor with some niches, so that its four sides differ.
-fn corridor() -> OccupancyGrid {
-    let wall = |x: usize, y: usize| {
-        let outside = x == 0 || y == 0 || x == 399 || y == 299;
-        let block = (60..340).contains(&x) && (60..240).contains(&y);
-        let niche = (100..130).contains(&x) && (60..80).contains(&y) || (320..340).contains(&x) && (150..200).contains(&y);
-        let crate_ = (200..212).contains(&x) && (285..299).contains(&y) || x < 12 && (90..100).contains(&y);
-        outside || block && !niche || crate_
-    };
-    let cells = (0..400 * 300).map(|i| if wall(i % 400, i / 400) { Cell::Occupied } else { Cell::Free }).collect();
-    OccupancyGrid::new(400, 0.05, Pose2::new(-4.0, 2.0, 0.0), cells).unwrap()
-}
+use common::{corridor, shared};
 
 fn map(name: &str) -> Option<OccupancyGrid> {
     Some(map_file::read(&shared(&format!("data/maps/{name}.yaml"))?).unwrap())
@@ -77,7 +69,7 @@ impl Outcome {
 
 /// Drives one after the other, between which the robot is carried off; `prepare` is called before the first scan.
 fn run(map: &OccupancyGrid, drives: &[Drive], config: &Config, prepare: impl FnOnce(&mut Localizer, Pose2)) -> Outcome {
-    let mut localizer = Localizer::new(map.clone(), config).unwrap();
+    let mut localizer = Localizer::new(map.clone(), config, clock()).unwrap();
     let (mut prepare, mut outcome) = (Some(prepare), Outcome::default());
     for (number, drive) in drives.iter().enumerate() {
         let later = number as f64 * (drive.seconds + 1.0);
@@ -111,7 +103,7 @@ fn run(map: &OccupancyGrid, drives: &[Drive], config: &Config, prepare: impl FnO
             }
             if let Some(scan) = held.take_if(|scan| localizer.wait_for_odometry(scan.header.stamp.into()).is_none()) {
                 let start = Instant::now();
-                let belief = localizer.on_scan(&scan).unwrap();
+                let belief = take(&mut localizer, &scan).unwrap();
                 outcome.times.push(start.elapsed());
                 let true_pose = truth[&scan.header.stamp.into()];
                 let (x, y) = (belief.map_from_base.x - true_pose.x, belief.map_from_base.y - true_pose.y);
@@ -123,6 +115,19 @@ fn run(map: &OccupancyGrid, drives: &[Drive], config: &Config, prepare: impl FnO
         .unwrap();
     }
     outcome
+}
+
+/// The clock, which no answer depends on.
+fn clock() -> Arc<dyn Clock> {
+    Arc::new(MonotonicClock::default())
+}
+
+/// Takes in a scan, and does the work that follows.
+fn take(localizer: &mut Localizer, scan: &LaserScan) -> Result<Belief, NoEvidence> {
+    let mut fix = localizer.on_scan(scan, Duration::ZERO);
+    localizer.conclude(&mut fix);
+    localizer.maintain(&Never);
+    fix.belief
 }
 
 fn at_truth(localizer: &mut Localizer, pose: Pose2) {
@@ -217,7 +222,7 @@ fn a_kidnapped_robot_is_found_again() {
 #[test]
 fn nothing_is_evidence_twice_and_bad_scans_change_nothing() {
     let map = corridor();
-    let mut localizer = Localizer::new(map.clone(), &Config::default()).unwrap();
+    let mut localizer = Localizer::new(map.clone(), &Config::default(), clock()).unwrap();
     let scene = Scene::in_map(map, 1).unwrap();
     let mut scans = Vec::new();
     simulate::<()>(&Settings::default(), &scene, |_, message| match message {
@@ -228,15 +233,15 @@ fn nothing_is_evidence_twice_and_bad_scans_change_nothing() {
         _ => Ok(()),
     })
     .unwrap_err();
-    localizer.on_scan(&scans[1]).unwrap();
+    take(&mut localizer, &scans[1]).unwrap();
     let poses: Vec<_> = localizer.filter().poses().collect();
-    assert_eq!(localizer.on_scan(&scans[1]), Err(NoEvidence::NotNewer));
-    assert_eq!(localizer.on_scan(&scans[0]), Err(NoEvidence::NotNewer));
+    assert_eq!(take(&mut localizer, &scans[1]), Err(NoEvidence::NotNewer));
+    assert_eq!(take(&mut localizer, &scans[0]), Err(NoEvidence::NotNewer));
     let mut broken = scans[2].clone();
     broken.ranges.truncate(5);
-    assert!(matches!(localizer.on_scan(&broken), Err(NoEvidence::Malformed(_))));
+    assert!(matches!(take(&mut localizer, &broken), Err(NoEvidence::Malformed(_))));
     assert!(poses.iter().eq(localizer.filter().poses().collect::<Vec<_>>().iter()));
     // Outside the map nothing can be said, and nothing breaks.
     localizer.start_at(&Pose2::new(1e4, -1e4, 0.0), None);
-    assert!(localizer.on_scan(&scans[2]).unwrap().map_from_base.is_finite());
+    assert!(take(&mut localizer, &scans[2]).unwrap().map_from_base.is_finite());
 }

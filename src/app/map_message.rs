@@ -1,0 +1,85 @@
+//! A map as `/map` brings it.
+
+use thiserror::Error;
+
+use super::{InputError, planar_pose};
+use crate::map::grid::{Cell, GridError, OccupancyGrid};
+use crate::messages::nav_msgs;
+
+/// From this on a cell is taken for a wall: `map_server`'s default threshold, %.
+const OCCUPIED: i8 = 65;
+/// Up to this it is free, %.
+const FREE: i8 = 25;
+
+/// A message that is no map.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum MapMessageError {
+    /// Its size or resolution are none.
+    #[error("the map is of no use: {0}")]
+    Grid(#[from] GridError),
+    /// Height and data do not go together.
+    #[error("the map is of no use: {cells} cells do not make {width} x {height}")]
+    Size {
+        /// Number of columns.
+        width: u32,
+        /// Number of rows.
+        height: u32,
+        /// Number of cells.
+        cells: usize,
+    },
+    /// The pose of its corner is none.
+    #[error("the origin of the map is of no use: {0}")]
+    Origin(#[from] InputError),
+}
+
+/// The map of a message.
+pub fn grid(message: &nav_msgs::OccupancyGrid) -> Result<OccupancyGrid, MapMessageError> {
+    let nav_msgs::MapMetaData { resolution, width, height, ref origin, .. } = message.info;
+    let cells = message.data.len();
+    if u64::from(width) * u64::from(height) != cells as u64 {
+        return Err(MapMessageError::Size { width, height, cells });
+    }
+    let classify = |&occupancy: &i8| match occupancy {
+        OCCUPIED.. => Cell::Occupied,
+        0..=FREE => Cell::Free,
+        _ => Cell::Unknown,
+    };
+    // The message has the resolution in single precision: 0.05 is meant, not 0.050000000745.
+    let resolution = (f64::from(resolution) * 1e7).round() / 1e7;
+    let cells = message.data.iter().map(classify).collect();
+    Ok(OccupancyGrid::new(width as usize, resolution, planar_pose(origin)?, cells)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Point, Pose2};
+
+    fn message(resolution: f32, height: u32) -> nav_msgs::OccupancyGrid {
+        let mut message = nav_msgs::OccupancyGrid { data: vec![0, 100, -1, 10, 50, 65], ..Default::default() };
+        message.info = nav_msgs::MapMetaData { resolution, width: 3, height, ..Default::default() };
+        message.info.origin = Pose2::new(1.0, 2.0, std::f64::consts::FRAC_PI_2).into();
+        message
+    }
+
+    #[test]
+    fn cells_and_a_turned_origin_are_where_they_belong() {
+        let grid = grid(&message(0.05, 2)).unwrap();
+        let [free, occupied, unknown] = [Cell::Free, Cell::Occupied, Cell::Unknown];
+        assert_eq!(grid.cells(), [free, occupied, unknown, free, unknown, occupied]);
+        assert!((grid.centre(1, 0) - Point::new(1.0 - 0.025, 2.0 + 0.075)).norm() < 1e-9);
+        assert_eq!(grid.resolution().to_bits(), 0.05_f64.to_bits());
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        let problem = |message: &nav_msgs::OccupancyGrid| grid(message).unwrap_err().to_string();
+        assert!(problem(&message(0.0, 2)).contains("resolution is 0"));
+        assert!(problem(&message(f32::NAN, 2)).contains("resolution is NaN"));
+        assert!(problem(&message(0.05, 7)).contains("6 cells do not make 3 x 7"));
+        assert!(problem(&nav_msgs::OccupancyGrid::default()).contains("of no use"));
+        let mut turned = message(0.05, 2);
+        turned.info.origin.orientation.w = 9.0;
+        assert!(problem(&turned).contains("normalised"));
+    }
+}

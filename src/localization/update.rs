@@ -1,0 +1,91 @@
+//! An update as work that can be stopped: particles and beams that fit into the time there is.
+
+use std::time::Duration;
+
+use super::filter::ParticleFilter;
+use crate::anytime::contract::Contract;
+use crate::anytime::cost_model::{CostModel, Phase};
+use crate::anytime::{ErrorEstimate, Work};
+use crate::matching::StopReason;
+
+/// Of the beams wanted this part is to be cast; rather than fewer, particles are given up.
+const LEAST_BEAMS: f64 = 0.25;
+/// Fewer particles than this are no cloud.
+const FEWEST_PARTICLES: usize = 100;
+/// With fewer beams than this, a small covariance would be luck.
+const FEWEST_BEAMS: usize = 8;
+
+/// Taking in a scan.
+pub(super) struct Update<'a> {
+    pub(super) filter: &'a mut ParticleFilter,
+    /// Whether it begins here, or goes on after an answer.
+    pub(super) is_first: bool,
+}
+
+impl Work for Update<'_> {
+    /// Iterations in beams of all particles, all else in particles.
+    fn size(&self, phase: Phase) -> usize {
+        let particles = self.filter.len();
+        match phase {
+            Phase::Setup => {
+                if self.is_first {
+                    particles
+                } else {
+                    0
+                }
+            }
+            Phase::Iteration => particles * self.filter.next_beams(),
+            Phase::Closing => particles,
+        }
+    }
+
+    /// The particles have been moved already: [`particles_for`] came before that. How many beams there is time for shows.
+    fn plan(&mut self, _costs: &CostModel, _left: Duration) {}
+
+    fn step(&mut self) -> Option<StopReason> {
+        self.filter.weigh_next_beams();
+        (self.filter.next_beams() == 0).then_some(StopReason::Converged)
+    }
+
+    fn is_good_enough(&mut self, contract: &Contract) -> bool {
+        self.filter.weighed_beams() >= FEWEST_BEAMS && {
+            let belief = self.filter.believe();
+            let error = ErrorEstimate::of_covariance(&belief.covariance);
+            belief.is_localized() && contract.is_satisfied_by(error.translation, error.rotation)
+        }
+    }
+}
+
+/// How many of `particles` can be moved and compared with a part of `beams` within `left`.
+pub(super) fn particles_for(costs: &CostModel, left: Duration, particles: usize, beams: usize) -> usize {
+    let beams = ((beams as f64 * LEAST_BEAMS).ceil() as usize).max(1);
+    let fits = |particles: usize| {
+        let pieces = [(Phase::Setup, particles), (Phase::Iteration, particles * beams), (Phase::Closing, particles)];
+        costs.guarded_sum(&pieces) <= left
+    };
+    let mut count = particles;
+    while !fits(count) && count > FEWEST_PARTICLES {
+        count = (count * 7 / 8).max(FEWEST_PARTICLES);
+    }
+    count
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn particles_are_given_up_as_the_time_is_short() {
+        let mut costs = CostModel::new(0.999);
+        for particles in [128, 1024, 4096] {
+            costs.observe(Phase::Setup, particles, Duration::from_nanos(100) * u32::try_from(particles).unwrap());
+            costs.observe(Phase::Iteration, 15 * particles, Duration::from_nanos(300) * u32::try_from(particles).unwrap());
+            costs.observe(Phase::Closing, particles, Duration::from_nanos(100) * u32::try_from(particles).unwrap());
+        }
+        costs.learn();
+        let planned = |microseconds| particles_for(&costs, Duration::from_micros(microseconds), 4000, 60);
+        assert_eq!([planned(5000), planned(2100), planned(1)], [4000, 4000, FEWEST_PARTICLES]);
+        assert!((1700..=2000).contains(&planned(1000)), "{}", planned(1000));
+        assert_eq!(particles_for(&CostModel::new(0.9), Duration::ZERO, 4000, 60), 4000, "nothing is known yet");
+    }
+}

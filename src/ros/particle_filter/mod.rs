@@ -1,0 +1,90 @@
+//! The particle filter as a node: where the robot is on a map.
+//!
+//! ```text
+//!  threads of links             localizing thread             main thread
+//!  subscriptions --> mailbox --> worker --> publishers        supervisor
+//!                     timer -----^
+//! ```
+
+mod convert;
+mod publishers;
+mod subscriptions;
+mod worker;
+
+use std::sync::Arc;
+
+use rosrust::api::{Master, Ros};
+
+use self::publishers::Publishers;
+use self::subscriptions::{Input, subscribe};
+use self::worker::Worker;
+use super::diagnostics::{Diagnostics, Monitor, Task};
+use super::links::Links;
+use super::log::Log;
+use super::mailbox::Mailbox;
+use super::master::resolved;
+use super::node::describe;
+use super::shutdown::StopSignal;
+use super::supervisor::{self, Parts, Supervisor};
+use super::{NodeError, params, services, shell};
+use crate::anytime::clock::{Clock, MonotonicClock};
+use crate::anytime::contract::Contract;
+use crate::config::Config;
+
+const NAME: &str = "particle_filter";
+/// The service that begins anew, and what it answers.
+const GLOBAL: (&str, &str) = ("~global_localization", "the robot may be anywhere on the map");
+const TASK: Task = Task { title: "localization", doing: "localizing", done: "used" };
+
+/// Runs the node `particle_filter` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
+/// parameters.
+pub fn run() -> Result<(), NodeError> {
+    shell::run(NAME, serve)
+}
+
+fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
+    let config = params::read(master, ros.name())?;
+    let log = Log::new(ros)?;
+    let supervisor = Supervisor::new(ros, master, start(ros, &config, &log)?, &log)?;
+    announce(ros, &log, &config)?;
+    supervisor.run(stop, |_| ());
+    Ok(())
+}
+
+fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input>, NodeError> {
+    let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
+    let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
+    let publishers = Publishers::new(ros, config.frames.publish_tf)?;
+    let diagnostics = Diagnostics::new(ros, TASK)?;
+    let mut roles = publishers.roles();
+    roles.extend(Input::ALL.map(|input| input.topic().role()));
+
+    let services = vec![services::reset(ros, GLOBAL, &mailbox)?];
+    let links = Links::new(ros, &clock, log)?;
+    Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, &mailbox))?;
+    let worker =
+        Worker::new(config.clone(), publishers, Arc::clone(&mailbox), Arc::clone(&clock), Arc::clone(&monitor), log.clone());
+    let worker = supervisor::spawn("localizing", || worker.run())?;
+    Ok(Parts { clock, mailbox, monitor, diagnostics, worker, links, services, roles })
+}
+
+/// Says that the node is ready, and what for.
+fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
+    let contract = Contract::try_from(&config.contract)?;
+    let [scan, odometry, pose] = ["scan", "odom", publishers::POSE].map(|topic| resolved(ros, topic));
+    let (frames, knobs) = (&config.frames, &config.localization);
+    let period = knobs.update_period.0;
+    log.info(&format!(
+        "localizes by {} and {} to {} ({} -> {}{}), {} particles, {}, {}",
+        scan?,
+        odometry?,
+        pose?,
+        knobs.map_frame,
+        frames.base_frame,
+        if frames.publish_tf { format!(", also {} -> {} on /tf", knobs.map_frame, frames.odom_frame) } else { String::new() },
+        knobs.particles,
+        if period > 0.0 { format!("every {period} s") } else { "with every scan".into() },
+        describe(&contract),
+    ));
+    Ok(())
+}

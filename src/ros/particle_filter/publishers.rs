@@ -1,0 +1,81 @@
+//! What the node says.
+
+use rosrust::api::Ros;
+use rosrust_msg::anytime_scan_matcher::FilterReport;
+use rosrust_msg::geometry_msgs::{PoseArray, PoseStamped};
+use rosrust_msg::nav_msgs::Odometry;
+use rosrust_msg::sensor_msgs::LaserScan as ScanMessage;
+use rosrust_msg::tf2_msgs::TFMessage;
+
+use super::convert::{Placed, fake_scan, particles, report};
+use crate::app::localizer::{Fix, Localizer};
+use crate::geometry::Pose2;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::ros::NodeError;
+use crate::ros::master::Role;
+use crate::ros::publishers::Output;
+use crate::time::Stamp;
+
+/// Where the pose leaves by.
+pub(super) const POSE: &str = "pf/pose/odom";
+
+/// Every topic.
+pub(super) struct Publishers {
+    pose: Output<Odometry>,
+    report: Output<FilterReport>,
+    particles: Output<PoseArray>,
+    inferred_pose: Output<PoseStamped>,
+    fake_scan: Output<ScanMessage>,
+    transform: Option<Output<TFMessage>>,
+    last_pose: Option<Stamp>,
+}
+
+impl Publishers {
+    pub(super) fn new(ros: &Ros, publish_tf: bool) -> Result<Self, NodeError> {
+        Ok(Self {
+            pose: Output::new(ros, POSE)?,
+            report: Output::new(ros, "pf/report")?,
+            particles: Output::new(ros, "pf/viz/particles")?,
+            inferred_pose: Output::new(ros, "pf/viz/inferred_pose")?,
+            fake_scan: Output::new(ros, "pf/viz/fake_scan")?,
+            transform: if publish_tf { Some(Output::new(ros, "/tf")?) } else { None },
+            last_pose: None,
+        })
+    }
+
+    /// How the topics stand in the master's books.
+    pub(super) fn roles(&self) -> Vec<Role> {
+        let always =
+            [self.pose.role(), self.report.role(), self.particles.role(), self.inferred_pose.role(), self.fake_scan.role()];
+        always.into_iter().chain(self.transform.as_ref().map(Output::role)).collect()
+    }
+
+    /// Ends the publication of transforms; whether there was any.
+    pub(super) fn withhold_transform(&mut self) -> bool {
+        self.transform.take().is_some()
+    }
+
+    /// The pose, and the transform that goes with it; without odometry there is no frame to give a place to. `is_fix`: the stamp is a
+    /// scan's. A pose between scans moves on with odometry, as does everything below that frame: the transform is the same.
+    pub(super) fn publish_pose(&mut self, placed: &Placed, odom_from_base: Option<Pose2>, is_fix: bool) {
+        if !is_fix && self.last_pose.is_some_and(|last| placed.stamp <= last) {
+            return;
+        }
+        self.last_pose = Some(placed.stamp);
+        self.pose.send(|| placed.odometry());
+        self.inferred_pose.send(|| placed.pose_stamped());
+        if let (Some(transform), Some(odom_from_base), true) = (&self.transform, odom_from_base, is_fix) {
+            transform.send(|| TFMessage { transforms: vec![placed.transform(&odom_from_base)] });
+        }
+    }
+
+    pub(super) fn publish_report(&self, fix: &Fix, dropped: u64, map_frame: &str) {
+        self.report.send(|| report(fix, dropped, map_frame));
+    }
+
+    /// What people look at.
+    pub(super) fn publish_display(&self, localizer: &Localizer, scan: &LaserScan, map_from_base: &Pose2) {
+        self.particles.send(|| particles(localizer, scan.header.stamp.into()));
+        self.fake_scan.send(|| fake_scan(localizer, scan, map_from_base));
+    }
+}

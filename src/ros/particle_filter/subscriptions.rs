@@ -1,0 +1,66 @@
+//! What the node hears.
+
+use std::sync::Arc;
+
+use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};
+use crate::messages::nav_msgs::{OccupancyGrid, Odometry};
+use crate::messages::own::Contract;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::tf2_msgs::TFMessage;
+use crate::ros::NodeError;
+use crate::ros::inlet::{Letter, Topic, listen};
+use crate::ros::links::Links;
+use crate::ros::mailbox::{Event, Mailbox};
+
+/// A topic the node listens to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::ros) enum Input {
+    Scan,
+    Odometry,
+    Map,
+    InitialPose,
+    ClickedPoint,
+    Contract,
+    Transforms,
+    StaticTransforms,
+}
+
+impl Input {
+    pub(super) const ALL: [Self; 8] = [
+        Self::Scan,
+        Self::Odometry,
+        Self::Map,
+        Self::InitialPose,
+        Self::ClickedPoint,
+        Self::Contract,
+        Self::Transforms,
+        Self::StaticTransforms,
+    ];
+
+    pub(super) fn topic(self) -> Topic {
+        match self {
+            Self::Scan => Topic::of::<LaserScan>("scan"),
+            Self::Odometry => Topic::of::<Odometry>("odom"),
+            Self::Map => Topic::of::<OccupancyGrid>("map"),
+            Self::InitialPose => Topic::of::<PoseWithCovarianceStamped>("initialpose"),
+            Self::ClickedPoint => Topic::of::<PointStamped>("clicked_point"),
+            Self::Contract => Topic::of::<Contract>("icp_contract"),
+            Self::Transforms => Topic::of::<TFMessage>("/tf"),
+            Self::StaticTransforms => Topic::of::<TFMessage>("/tf_static"),
+        }
+    }
+}
+
+/// Subscribes to `input`; what comes goes into the mailbox.
+pub(super) fn subscribe(
+    links: &Links,
+    input: Input,
+    mailbox: &Arc<Mailbox<Input>>,
+) -> Result<(), NodeError> {
+    let mailbox = Arc::clone(mailbox);
+    let receive = move |letter: Letter| match input {
+        Input::Scan => mailbox.put_scan(letter),
+        input => mailbox.put_event(Event::Message(input, letter)),
+    };
+    listen(links, input.topic(), receive)
+}

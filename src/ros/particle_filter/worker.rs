@@ -1,0 +1,327 @@
+//! The localizing thread: empties the mailbox, drives the filter and publishes what it believes.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use serde::Deserialize;
+
+use super::convert::Placed;
+use super::publishers::Publishers;
+use super::subscriptions::Input;
+use crate::anytime::clock::Clock;
+use crate::anytime::interrupt::Interrupt;
+use crate::anytime::timer::Timer;
+use crate::app::localizer::{Fix, Localizer};
+use crate::app::{InputError, MountSource, map_message};
+use crate::config::Config;
+use crate::geometry::PoseCovariance;
+use crate::io::map_file;
+use crate::localization::filter::Belief;
+use crate::map::grid::OccupancyGrid;
+use crate::messages::own::Contract;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::tf2_msgs::TFMessage;
+use crate::messages::{Message, decode, nav_msgs};
+use crate::ros::diagnostics::{MOUNT_ASSUMED, Monitor, Sample, TRANSFORM_WITHHELD};
+use crate::ros::inlet::Letter;
+use crate::ros::interrupts::LOOK;
+use crate::ros::log::{Log, Throttle};
+use crate::ros::mailbox::{Event, Mailbox, Work};
+use crate::ros::priority::Urgency;
+use crate::transforms::{TransformTree, frame_name};
+
+/// Conditions of this node.
+const NO_MAP: &str = "there is no map yet (parameter localization/map, or topic map)";
+const NOT_LOCALIZED: &str = "where the robot is, is not known";
+
+/// Ends what can be left undone when there is another scan.
+struct NextScan<'a>(&'a Mailbox<Input>);
+
+impl Interrupt for NextScan<'_> {
+    fn is_requested(&self) -> bool {
+        self.0.has_scan()
+    }
+}
+
+/// Everything the localizing thread owns.
+pub(super) struct Worker {
+    config: Config,
+    /// Once there is a map.
+    localizer: Option<Localizer>,
+    /// What came before it.
+    transforms: TransformTree,
+    contract: Option<Contract>,
+    /// The newest scan, until an update is due.
+    held: Option<Letter>,
+    /// How sure the last pose was.
+    covariance: PoseCovariance,
+    publishers: Publishers,
+    mailbox: Arc<Mailbox<Input>>,
+    clock: Arc<dyn Clock>,
+    monitor: Arc<Monitor>,
+    log: Log,
+    throttle: Throttle,
+}
+
+impl Worker {
+    pub(super) fn new(
+        config: Config,
+        publishers: Publishers,
+        mailbox: Arc<Mailbox<Input>>,
+        clock: Arc<dyn Clock>,
+        monitor: Arc<Monitor>,
+        log: Log,
+    ) -> Self {
+        monitor.set_condition(NO_MAP, true);
+        Self {
+            config,
+            localizer: None,
+            transforms: TransformTree::default(),
+            contract: None,
+            held: None,
+            covariance: PoseCovariance::zeros(),
+            publishers,
+            mailbox,
+            clock,
+            monitor,
+            log,
+            throttle: Throttle::default(),
+        }
+    }
+
+    /// Works until the mailbox is closed.
+    pub(super) fn run(mut self) {
+        let mut urgency = Urgency::of_this_thread();
+        urgency.set(false);
+        self.read_map_file();
+        let mut timer = Timer::new(self.config.localization.update_period.0, self.clock.now());
+        while let Some(Work { events, scan }) = self.next_work(&timer) {
+            for event in events {
+                self.handle(event);
+            }
+            if let Some(scan) = scan {
+                let unused = self.held.replace(scan).is_some();
+                self.mailbox.count_lost_scans(unused.into());
+            }
+            let now = self.clock.now();
+            if timer.is_due(now) {
+                match self.held.take() {
+                    // Where a timer calls for the update, the time counts from its call.
+                    Some(letter) => self.answer(
+                        &Letter { arrival: if timer.has_period() { now } else { letter.arrival }, ..letter },
+                        &mut urgency,
+                    ),
+                    None if timer.has_period() => self.carry_on(),
+                    None => {}
+                }
+            }
+        }
+    }
+
+    fn next_work(&self, timer: &Timer) -> Option<Work<Input>> {
+        match timer.left(self.clock.now()) {
+            Some(left) => self.mailbox.take_within(left),
+            None => self.mailbox.take(),
+        }
+    }
+
+    fn read_map_file(&mut self) {
+        let Some(path) = self.config.localization.map.clone() else { return };
+        match map_file::read(Path::new(&path)) {
+            Ok(map) => self.set_map(map),
+            Err(error) => self.log.error(&format!("{error}; waiting for a map on the topic map")),
+        }
+    }
+
+    /// A map that comes again, as a latched one does, changes nothing.
+    fn set_map(&mut self, map: OccupancyGrid) {
+        if self.localizer.as_ref().is_some_and(|localizer| *localizer.filter().map() == map) {
+            return;
+        }
+        let size = format!("{} x {} cells of {} m", map.width(), map.height(), map.resolution());
+        let outcome = match &mut self.localizer {
+            Some(localizer) => localizer.replace_map(map),
+            None => self.begin(map),
+        };
+        match outcome {
+            Ok(()) => {
+                self.monitor.set_condition(NO_MAP, false);
+                self.log.info(&format!("has a map of {size}"));
+            }
+            Err(error) => self.log.error(&format!("the map of {size} is of no use: {error}")),
+        }
+    }
+
+    fn begin(&mut self, map: OccupancyGrid) -> Result<(), crate::app::localizer::LocalizerError> {
+        let mut localizer = Localizer::new(map, &self.config, Arc::clone(&self.clock))?;
+        localizer.warm_up();
+        localizer.set_transforms(std::mem::take(&mut self.transforms));
+        if let Some(contract) = self.contract.take() {
+            let outcome = localizer.on_contract(&contract);
+            self.judge(Input::Contract, "before the map", outcome);
+        }
+        self.localizer = Some(localizer);
+        Ok(())
+    }
+
+    fn handle(&mut self, event: Event<Input>) {
+        match event {
+            Event::Reset => match &mut self.localizer {
+                Some(localizer) => localizer.spread(),
+                None => self.log.warn(NO_MAP),
+            },
+            Event::Message(Input::Map, letter) => {
+                if let Some(message) = self.read::<nav_msgs::OccupancyGrid>(Input::Map, &letter) {
+                    match map_message::grid(&message) {
+                        Ok(map) => self.set_map(map),
+                        Err(error) => self.refuse(Input::Map, &letter.sender, &error),
+                    }
+                }
+            }
+            Event::Message(input, letter) => self.hear(input, &letter),
+            Event::SaveProfile | Event::Change(_) => {} // the scan matcher's alone
+        }
+    }
+
+    fn hear(&mut self, input: Input, letter: &Letter) {
+        let sender = letter.sender.as_str();
+        match input {
+            Input::Scan | Input::Map => {} // have their own ways
+            Input::Odometry => self.tell(input, letter, |localizer, message| localizer.on_odometry(&message)),
+            Input::InitialPose => self.tell(input, letter, |localizer, message| localizer.on_initial_pose(&message)),
+            Input::ClickedPoint => self.tell(input, letter, |localizer, message| localizer.on_clicked_point(&message)),
+            Input::Contract => match (self.read::<Contract>(input, letter), &mut self.localizer) {
+                (Some(contract), Some(localizer)) => {
+                    let outcome = localizer.on_contract(&contract);
+                    self.judge(input, sender, outcome);
+                }
+                (contract, _) => self.contract = contract.or(self.contract.take()),
+            },
+            Input::Transforms | Input::StaticTransforms => {
+                let Some(message) = self.read::<TFMessage>(input, letter) else { return };
+                self.watch_for_second_parent(&message, sender);
+                if let Some(localizer) = &mut self.localizer {
+                    let outcome = localizer.on_transforms(&message);
+                    self.judge(input, sender, outcome);
+                } else {
+                    self.transforms.add(&message);
+                }
+            }
+        }
+    }
+
+    /// Hands a message on; before there is a map, nobody needs it.
+    fn tell<T: Message + for<'de> Deserialize<'de>>(
+        &mut self,
+        input: Input,
+        letter: &Letter,
+        take: impl FnOnce(&mut Localizer, T) -> Result<(), InputError>,
+    ) {
+        let Some(message) = self.read(input, letter) else { return };
+        if let Some(localizer) = &mut self.localizer {
+            let outcome = take(localizer, message);
+            self.judge(input, &letter.sender, outcome);
+        }
+    }
+
+    fn judge(&mut self, input: Input, sender: &str, outcome: Result<(), InputError>) {
+        if let Err(error) = outcome {
+            self.refuse(input, sender, &error);
+        }
+    }
+
+    fn read<T: Message + for<'de> Deserialize<'de>>(&mut self, input: Input, letter: &Letter) -> Option<T> {
+        decode(&letter.bytes).map_err(|error| self.refuse(input, &letter.sender, &error)).ok()
+    }
+
+    fn refuse(&mut self, input: Input, sender: &str, problem: &dyn std::error::Error) {
+        self.monitor.count_refused();
+        self.warn(input.topic().name, &format!("a message from {sender} is refused: {problem}"));
+    }
+
+    fn warn(&mut self, subject: &'static str, text: &str) {
+        if self.throttle.allows(subject, self.clock.now()) {
+            self.log.warn(&format!("{subject}: {text}"));
+        }
+    }
+
+    /// A frame has one parent. Who else publishes one for the odometry's frame was there first, or knows better.
+    fn watch_for_second_parent(&mut self, message: &TFMessage, sender: &str) {
+        let odom = frame_name(&self.config.frames.odom_frame);
+        let rival = message.transforms.iter().find(|transform| frame_name(&transform.child_frame_id) == odom);
+        if let (Some(rival), true) = (rival, rival.is_some() && self.publishers.withhold_transform()) {
+            self.log.warn(&format!(
+                "{sender} publishes the transform {} -> {odom}: this node's own is held back from now on, as a frame has one parent \
+                 (parameter publish_tf)",
+                rival.header.frame_id,
+            ));
+            self.monitor.set_condition(TRANSFORM_WITHHELD, true);
+        }
+    }
+
+    /// Holds a scan back while the localizer wants to see more odometry first.
+    fn await_odometry(&mut self, scan: &LaserScan, letter: &Letter) {
+        let wait = |worker: &Self| worker.localizer.as_ref()?.wait_for_odometry(scan.header.stamp.into());
+        while let Some(longest) = wait(self) {
+            let left = (letter.arrival + longest).saturating_sub(self.clock.now());
+            if left.is_zero() || self.mailbox.has_scan() || self.mailbox.is_closed() {
+                return;
+            }
+            for event in self.mailbox.take_events(left.min(LOOK)).unwrap_or_default() {
+                self.handle(event);
+            }
+        }
+    }
+
+    fn answer(&mut self, letter: &Letter, urgency: &mut Urgency) {
+        let Some(scan) = self.read::<LaserScan>(Input::Scan, letter) else { return };
+        if self.localizer.is_none() {
+            return self.warn("scan", NO_MAP);
+        }
+        self.await_odometry(&scan, letter);
+        let Some(localizer) = &mut self.localizer else { return };
+        urgency.set(localizer.contract().time_budget.is_some());
+        let mut fix = localizer.on_scan(&scan, letter.arrival);
+        if let Ok(belief) = &fix.belief {
+            self.covariance = belief.covariance;
+            let placed = Placed {
+                stamp: fix.stamp,
+                map_from_base: belief.map_from_base,
+                covariance: belief.covariance,
+                twist: localizer.twist(),
+                config: &self.config,
+            };
+            self.publishers.publish_pose(&placed, localizer.odom_from_base(fix.stamp), true);
+        }
+        localizer.conclude(&mut fix);
+        urgency.set(false);
+        self.publishers.publish_report(&fix, self.mailbox.dropped().scans, &self.config.localization.map_frame);
+        localizer.maintain(&NextScan(&self.mailbox));
+        if let Ok(belief) = &fix.belief {
+            self.publishers.publish_display(localizer, &scan, &belief.map_from_base);
+        }
+        let mount_assumed = localizer.mount().1 == MountSource::Assumed;
+        self.watch(&fix, mount_assumed);
+    }
+
+    fn watch(&mut self, fix: &Fix, mount_assumed: bool) {
+        self.monitor.set_condition(MOUNT_ASSUMED, mount_assumed);
+        self.monitor.set_condition(NOT_LOCALIZED, !fix.belief.as_ref().is_ok_and(Belief::is_localized));
+        let problem = fix.belief.as_ref().err().map(ToString::to_string);
+        if let Some(problem) = &problem {
+            self.warn("scan", &format!("not used: {problem}"));
+        }
+        self.monitor.record(Sample { elapsed: fix.elapsed, overrun: fix.overrun(), problem });
+    }
+
+    /// Between scans: the last pose, moved on by the odometry that has come since.
+    fn carry_on(&mut self) {
+        let Some(localizer) = &self.localizer else { return };
+        let Some(stamp) = localizer.odometry_stamp() else { return };
+        if let Some(map_from_base) = localizer.carried_to(stamp) {
+            let (covariance, twist) = (self.covariance, localizer.twist());
+            let placed = Placed { stamp, map_from_base, covariance, twist, config: &self.config };
+            self.publishers.publish_pose(&placed, None, false);
+        }
+    }
+}
