@@ -31,11 +31,11 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    Replay(replay_flags::Arguments),
-    Localize(localize::Arguments),
+    Replay(Box<replay_flags::Arguments>),
+    Localize(Box<localize::Arguments>),
     Profile(Box<profile_flags::Arguments>),
     Info(info::Arguments),
-    Simulate(simulate::Arguments),
+    Simulate(Box<simulate::Arguments>),
     Evaluate(evaluate::Arguments),
     Convert(convert::Arguments),
 }
