@@ -32,11 +32,11 @@ struct Cli {
 #[derive(Subcommand)]
 #[allow(clippy::large_enum_variant)] // parsed once
 enum Command {
-    Replay(replay_flags::Arguments),
-    Localize(localize::Arguments),
+    Replay(Box<replay_flags::Arguments>),
+    Localize(Box<localize::Arguments>),
     Profile(Box<profile_flags::Arguments>),
     Info(info::Arguments),
-    Simulate(simulate::Arguments),
+    Simulate(Box<simulate::Arguments>),
     Evaluate(evaluate::Arguments),
     Convert(convert::Arguments),
 }
