@@ -133,6 +133,7 @@ impl Bearings {
 /// Angles of vectors, rad: Abramowitz and Stegun 4.4.49, to 2e-8 and single precision.
 #[inline(always)]
 fn angle<S: Simd>(x: f32x8<S>, y: f32x8<S>) -> f32x8<S> {
+    #[allow(clippy::excessive_precision)] // as they stand in the book
     const COEFFICIENTS: [f32; 9] = [
         0.002_866_225_7,
         -0.016_165_736_7,

@@ -52,11 +52,7 @@ impl Input {
 }
 
 /// Subscribes to `input`; what comes goes into the mailbox.
-pub(super) fn subscribe(
-    links: &Links,
-    input: Input,
-    mailbox: &Arc<Mailbox<Input>>,
-) -> Result<(), NodeError> {
+pub(super) fn subscribe(links: &Links, input: Input, mailbox: &Arc<Mailbox<Input>>) -> Result<(), NodeError> {
     let mailbox = Arc::clone(mailbox);
     let receive = move |letter: Letter| match input {
         Input::Scan => mailbox.put_scan(letter),
