@@ -35,22 +35,26 @@ pub fn indoor_cells(grid: &OccupancyGrid) -> Vec<usize> {
 /// Where something twice as wide as [`GAP`] gets to from the border of the map.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_possible_wrap)] // numbers of cells
 fn outdoors(grid: &OccupancyGrid) -> Vec<bool> {
-    let (width, height) = (grid.width(), grid.height());
+    // Around a distance field all is blocked, around the map it is outdoors: so much of that is added that it makes no difference.
+    let margin = (GAP / grid.resolution()).ceil() as usize + 2;
+    let (width, height) = (grid.width() + 4 * margin, grid.height() + 4 * margin);
+    let padded = |index: usize| (index / grid.width() + 2 * margin) * width + index % grid.width() + 2 * margin;
     let within = |cells: Vec<bool>, gap: f64| -> Vec<bool> {
         let distances = DistanceField::new(width, cells);
         let near = |index: usize| distances.at((index % width) as i64, (index / width) as i64) * grid.resolution() <= gap;
         (0..width * height).map(near).collect()
     };
-    let mut seen = within(grid.cells().iter().map(|&cell| cell == Cell::Occupied).collect(), GAP);
-    let is_wide = seen.iter().map(|&narrow| !narrow).collect::<Vec<_>>();
-    // All around a distance field is blocked; all around the map is the outside.
-    let margin = (GAP / grid.resolution()).ceil() as usize + 1;
-    let (columns, rows) = (margin..width.saturating_sub(margin), margin..height.saturating_sub(margin));
-    let border = columns.clone().flat_map(|x| [(x, margin), (x, height - 1 - margin)]);
-    let border = border.chain(rows.flat_map(|y| [(margin, y), (width - 1 - margin, y)]));
-    border.for_each(|(x, y)| drop(flood(y * width + x, width, &mut seen)));
-    let reached = seen.iter().zip(&is_wide).map(|(&seen, &wide)| seen && wide).collect();
-    within(reached, GAP + grid.resolution())
+    let mut walls = vec![false; width * height];
+    for (index, _) in grid.cells().iter().enumerate().filter(|(_, cell)| **cell == Cell::Occupied) {
+        walls[padded(index)] = true;
+    }
+    let mut seen = within(walls, GAP);
+    let mut reached = vec![false; width * height];
+    for index in flood(margin * width + margin, width, &mut seen) {
+        reached[index] = true;
+    }
+    let reached = within(reached, GAP + grid.resolution());
+    (0..grid.cells().len()).map(|index| reached[padded(index)]).collect()
 }
 
 /// The cells not seen yet that can be reached from one, sideways and up and down; all are seen then.
