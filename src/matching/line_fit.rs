@@ -23,6 +23,10 @@ const ROUGHEST: f64 = 0.1;
 /// Points are paired with a surface up to so far along it from the place that it was fitted at, m: the lever of its direction's error.
 const LEVER: f64 = 0.05;
 
+/// Few rays lie on a line by chance, and seem sure. Stretches are compared as if they had erred by so much more, in all: of a long one
+/// each ray's share is small. With less, noise that is greater than assumed leads to lines through three rays.
+const DOUBT: f64 = 40.0;
+
 /// Rays that are handled at a time, in single precision and in double.
 const LANES: usize = 8;
 const HALF: usize = LANES / 2;
@@ -116,13 +120,15 @@ struct Fit<S: Simd> {
     turn: f64x4<S>,
     /// Variance of a point's distance from it; infinite where it is no surface.
     variance: f64x4<S>,
+    /// The same with [`DOUBT`], to compare.
+    doubted: f64x4<S>,
 }
 
 impl<S: Simd> Fit<S> {
     /// The others where they are surer.
     #[inline(always)]
     fn or(self, other: Self) -> Self {
-        let surer = other.variance.simd_lt(self.variance);
+        let surer = other.doubted.simd_lt(self.doubted);
         let either = |other: f64x4<S>, own: f64x4<S>| surer.select(other, own);
         Self {
             start: either(other.start, self.start),
@@ -132,6 +138,7 @@ impl<S: Simd> Fit<S> {
             mean: either(other.mean, self.mean),
             turn: either(other.turn, self.turn),
             variance: either(other.variance, self.variance),
+            doubted: either(other.doubted, self.doubted),
         }
     }
 
@@ -204,7 +211,8 @@ impl Around<'_> {
         let is_even = (excess * squared_incidence * squared_noise).simd_lt(ROUGHEST * ROUGHEST);
         let is_surface = is_even & rays.simd_gt(2.0) & variance.simd_lt(f64::INFINITY);
         let variance = is_surface.select(variance, f64x4::splat(simd, f64::INFINITY));
-        Fit { start, end, inverse, excess, mean, turn, variance }
+        let doubted = variance + squared_incidence * DOUBT / (rays - 2.0);
+        Fit { start, end, inverse, excess, mean, turn, variance, doubted }
     }
 }
 
