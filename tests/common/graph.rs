@@ -311,7 +311,7 @@ impl Drop for Process {
     fn drop(&mut self) {
         // What roslaunch has started is in groups of its own: only roslaunch can end it.
         if self.is_running() {
-            self.signal("INT");
+            self.signal("TERM");
             self.exit_code(PATIENCE);
         }
         if self.is_running() {
