@@ -195,6 +195,6 @@ mod tests {
         let view = View::new(scan, vec![Surface { variance: 1.0, ..Surface::NONE }; 201]);
         let out_of_sight = Point::new(-1.0, 0.1);
         assert!(view.surfaces()[view.bearings().beam(&out_of_sight)].is_none());
-        assert!(view.surfaces()[beams_at(&view, &out_of_sight)[0] as usize].is_none());
+        assert!(view.surfaces()[usize::try_from(beams_at(&view, &out_of_sight)[0]).unwrap()].is_none());
     }
 }
