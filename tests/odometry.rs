@@ -84,7 +84,7 @@ fn one_scan_in_five_may_be_lost() {
     let all = error(&settings, &mut app(&[]), || true, |_| {});
     let most = error(&settings, &mut app(&[]), || random.random::<f64>() > 0.2, |_| {});
     println!("all scans: {all:.4} m, without a fifth of them {most:.4} m");
-    assert!(most < 1.5 * all + 0.001, "{most} {all}");
+    assert!(most < 1.5 * all + 0.002, "{most} {all}");
 }
 
 #[test]
