@@ -14,7 +14,7 @@ use crate::app::Estimate;
 use crate::config::FrameKnobs;
 use crate::geometry::{Point, Pose2, PoseCovariance};
 use crate::io::profile_file::ExpectedError;
-use crate::odometry::{MatchedPoints, Outcome};
+use crate::odometry::{MatchedPoints, OdometryCounters, Outcome, Registration};
 
 /// Variance of what a scan in the plane says nothing about: height, roll and pitch, in m^2 and rad^2.
 const UNOBSERVED: f64 = 1e6;
@@ -30,13 +30,24 @@ pub(super) struct Answer<'a> {
 }
 
 impl Answer<'_> {
-    pub(super) fn header(&self) -> Header {
+    fn header(&self, frame: &str) -> Header {
         let (sec, nsec) = self.estimate.stamp.to_ros();
-        Header { seq: self.number, stamp: rosrust::Time { sec, nsec }, frame_id: self.frames.odom_frame.clone() }
+        Header { seq: self.number, stamp: rosrust::Time { sec, nsec }, frame_id: frame.into() }
     }
 
+    /// Of what is on the map.
+    pub(super) fn map_header(&self) -> Header {
+        self.header(&self.frames.map_frame)
+    }
+
+    /// Of what never jumps.
+    pub(super) fn odom_header(&self) -> Header {
+        self.header(&self.frames.odom_frame)
+    }
+
+    /// Where the base is on the map.
     pub(super) fn pose_stamped(&self) -> PoseStamped {
-        PoseStamped { header: self.header(), pose: pose(&self.estimate.registration.odom_from_base) }
+        PoseStamped { header: self.map_header(), pose: pose(&self.estimate.registration.map_from_base()) }
     }
 
     pub(super) fn odometry(&self) -> Odometry {
@@ -46,24 +57,24 @@ impl Answer<'_> {
             angular: Vector3 { x: 0.0, y: 0.0, z: answer.twist.omega },
         };
         Odometry {
-            header: self.header(),
+            header: self.odom_header(),
             child_frame_id: self.frames.base_frame.clone(),
             pose: PoseWithCovariance { pose: pose(&answer.odom_from_base), covariance: covariance(&answer.covariance) },
             twist: TwistWithCovariance { twist, covariance: covariance(&answer.twist_covariance) },
         }
     }
 
-    pub(super) fn transform(&self) -> TransformStamped {
-        let Pose { position, orientation } = pose(&self.estimate.registration.odom_from_base);
-        TransformStamped {
-            header: self.header(),
-            child_frame_id: self.frames.base_frame.clone(),
-            transform: Transform { translation: Vector3 { x: position.x, y: position.y, z: 0.0 }, rotation: orientation },
-        }
+    /// From the map by way of the odometry to the base.
+    pub(super) fn transforms(&self) -> [TransformStamped; 2] {
+        let Registration { map_from_odom, odom_from_base, .. } = &self.estimate.registration;
+        [
+            transform(self.map_header(), &self.frames.odom_frame, map_from_odom),
+            transform(self.odom_header(), &self.frames.base_frame, odom_from_base),
+        ]
     }
 
     /// What there is to say of the estimate; numbers of a refinement that was not made are NaN.
-    pub(super) fn report(&self, keyframes: u64, dropped: u64) -> MatchReport {
+    pub(super) fn report(&self, counters: &OdometryCounters, dropped: u64) -> MatchReport {
         let (estimate, answer) = (self.estimate, &self.estimate.registration);
         let refinement = answer.refinement.as_ref();
         let number = |value: fn(&_) -> f64| refinement.map_or(f64::NAN, value);
@@ -76,7 +87,7 @@ impl Answer<'_> {
             Outcome::Predicted(problem) => (MatchReport::PREDICTED, problem.clone()),
         };
         MatchReport {
-            header: self.header(),
+            header: self.odom_header(),
             outcome,
             ok: answer.outcome.is_ok(),
             stop_reason: refinement.map_or_else(String::new, |r| r.stop_reason.name().into()),
@@ -105,8 +116,10 @@ impl Answer<'_> {
             translation_error: answer.estimated_error.translation,
             rotation_error: answer.estimated_error.rotation,
             condition_number: number(|r| r.condition_number),
+            free_direction: number(|r| r.free_direction.unwrap_or(f64::NAN)),
             new_keyframe: answer.new_keyframe,
-            keyframes: u32::try_from(keyframes).unwrap_or(u32::MAX),
+            keyframes: u32::try_from(counters.keyframes).unwrap_or(u32::MAX),
+            closed_loops: u32::try_from(counters.closed_loops).unwrap_or(u32::MAX),
             dropped: u32::try_from(dropped).unwrap_or(u32::MAX),
         }
     }
@@ -124,7 +137,7 @@ impl Answer<'_> {
 
     fn marker(&self, id: i32, kind: u8, size: f64, [r, g, b]: [f32; 3], points: Vec<PointMessage>) -> Marker {
         Marker {
-            header: self.header(),
+            header: self.map_header(),
             ns: "scan_match".into(),
             id,
             type_: i32::from(kind),
@@ -146,6 +159,13 @@ fn point(p: &Point) -> PointMessage {
 pub(super) fn pose(pose: &Pose2) -> Pose {
     let (z, w) = (0.5 * pose.theta).sin_cos();
     Pose { position: PointMessage { x: pose.x, y: pose.y, z: 0.0 }, orientation: Quaternion { x: 0.0, y: 0.0, z, w } }
+}
+
+/// Where `child` is, in the frame of the header.
+pub(super) fn transform(header: Header, child: &str, parent_from_child: &Pose2) -> TransformStamped {
+    let Pose { position, orientation } = pose(parent_from_child);
+    let translation = Vector3 { x: position.x, y: position.y, z: position.z };
+    TransformStamped { header, child_frame_id: child.into(), transform: Transform { translation, rotation: orientation } }
 }
 
 /// Order x, y, z, roll, pitch, yaw, row by row.

@@ -3,7 +3,7 @@
 use nalgebra::Matrix3;
 use rosrust_msg::anytime_scan_matcher::FilterReport;
 use rosrust_msg::geometry_msgs::{
-    PoseArray, PoseStamped, PoseWithCovariance, Transform, TransformStamped, Twist, TwistWithCovariance, Vector3,
+    PoseArray, PoseStamped, PoseWithCovariance, TransformStamped, Twist, TwistWithCovariance, Vector3,
 };
 use rosrust_msg::nav_msgs::Odometry;
 use rosrust_msg::sensor_msgs::LaserScan as ScanMessage;
@@ -15,7 +15,7 @@ use crate::config::Config;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::localization::filter::Belief;
 use crate::messages::sensor_msgs::LaserScan;
-use crate::ros::convert::{covariance, pose};
+use crate::ros::convert::{covariance, pose, transform};
 use crate::time::Stamp;
 
 /// Particles shown at most: people see no more.
@@ -37,7 +37,7 @@ pub(super) struct Placed<'a> {
 
 impl Placed<'_> {
     fn header(&self) -> Header {
-        header(self.stamp, &self.config.localization.map_frame)
+        header(self.stamp, &self.config.frames.map_frame)
     }
 
     pub(super) fn odometry(&self) -> Odometry {
@@ -57,13 +57,7 @@ impl Placed<'_> {
 
     /// From the map to the frame of the odometry, which has the base at `odom_from_base`.
     pub(super) fn transform(&self, odom_from_base: &Pose2) -> TransformStamped {
-        let map_from_odom = pose(&(self.map_from_base * odom_from_base.inverse()));
-        let translation = Vector3 { x: map_from_odom.position.x, y: map_from_odom.position.y, z: 0.0 };
-        TransformStamped {
-            header: self.header(),
-            child_frame_id: self.config.frames.odom_frame.clone(),
-            transform: Transform { translation, rotation: map_from_odom.orientation },
-        }
+        transform(self.header(), &self.config.frames.odom_frame, &(self.map_from_base * odom_from_base.inverse()))
     }
 }
 
@@ -100,7 +94,7 @@ pub(super) fn particles(localizer: &Localizer, stamp: Stamp) -> PoseArray {
     let all = localizer.filter().poses();
     let step = all.len().div_ceil(SHOWN).max(1);
     let poses = all.step_by(step).map(|particle| pose(&particle)).collect();
-    PoseArray { header: header(stamp, &localizer.config().localization.map_frame), poses }
+    PoseArray { header: header(stamp, &localizer.config().frames.map_frame), poses }
 }
 
 /// What the laser of `scan` would have seen in the map.
