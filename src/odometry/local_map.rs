@@ -142,11 +142,16 @@ impl LocalMap {
         self.links.push(Link { later: self.way(), earlier: recognised.way });
     }
 
-    /// The path has drifted since it was at the keyframe recognised, or since other keyframes of long ago last held it, and is put
-    /// right: `correction` for the last keyframe, and in proportion to the way for those in between.
+    /// Way to the last keyframe since it was at the one recognised, or since others of long ago last held the path, m.
+    pub(super) fn free_way(&self, recognised: &Unrecognised) -> f64 {
+        self.way() - recognised.way.max(self.held_until)
+    }
+
+    /// The path has drifted on the free way, and is put right: `correction` for the last keyframe, and in proportion to the way for
+    /// those before.
     pub(super) fn correct(&mut self, recognised: &Unrecognised, correction: &Pose2) {
-        let start = recognised.way.max(self.held_until);
-        let whole = (self.way() - start).max(f64::MIN_POSITIVE);
+        let whole = self.free_way(recognised).max(f64::MIN_POSITIVE);
+        let start = self.way() - whole;
         for Keyframe { place, way, .. } in &mut self.keyframes {
             let part = ((*way - start) / whole).clamp(0.0, 1.0);
             let pose = place.map_from_laser;

@@ -5,13 +5,19 @@
 //! drifted to are believed (the consistency of loop closures in a chain, as in Olson 2009, "Recognizing places using spectrally
 //! clustered local matches").
 
+use std::ops::RangeInclusive;
+
 use crate::geometry::Pose2;
 use crate::matching::SearchWindow;
 
-/// How far a path may have drifted: that far the earlier keyframes are looked for, m ...
-const DRIFT: f64 = 2.0;
-/// ... and rad.
-const TURN_DRIFT: f64 = 0.09;
+/// How far a path may have drifted per metre: that far the earlier keyframes are looked for, m ...
+const DRIFT_PER_METRE: f64 = 0.02;
+/// ... but within these limits, m, ...
+const DRIFT: RangeInclusive<f64> = 0.3..=4.0;
+/// ... and rad ...
+const TURN_DRIFT_PER_METRE: f64 = 0.001;
+/// ... within these.
+const TURN_DRIFT: RangeInclusive<f64> = 0.02..=0.15;
 /// Where this part of the rays agrees at the place that the path says, no other place is looked for.
 const DOUBTFUL: f64 = 0.8;
 /// Least part of the rays that agree.
@@ -58,9 +64,14 @@ pub(super) enum Recognition {
     Drifted(Pose2),
 }
 
-/// Where to look for earlier keyframes.
-pub(super) fn window() -> SearchWindow {
-    SearchWindow { distance: DRIFT, angle: TURN_DRIFT, doubtful_agreement: DOUBTFUL }
+/// Where to look for earlier keyframes when the path has been free to drift for `way`, m.
+pub(super) fn window(way: f64) -> SearchWindow {
+    let within = |drift: f64, limits: &RangeInclusive<f64>| drift.clamp(*limits.start(), *limits.end());
+    SearchWindow {
+        distance: within(DRIFT_PER_METRE * way, &DRIFT),
+        angle: within(TURN_DRIFT_PER_METRE * way, &TURN_DRIFT),
+        doubtful_agreement: DOUBTFUL,
+    }
 }
 
 /// Judges sightings, of one keyframe after the other.

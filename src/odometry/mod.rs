@@ -408,7 +408,7 @@ impl LaserOdometry {
         let (by_path, view) = self.map.last()?;
         self.matcher.set_views(&self.views);
         let pose = earlier.map_from_laser.between(&by_path);
-        let guess = FirstGuess { pose, prior: None, window: loop_closure::window() };
+        let guess = FirstGuess { pose, prior: None, window: loop_closure::window(self.map.free_way(earlier)) };
         let mut refinement = self.matcher.begin(view.scan(), guess);
         if driver.drive(&mut refinement) == StopReason::Interrupted {
             return None;
