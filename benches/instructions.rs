@@ -1,5 +1,5 @@
 //! Instructions of one match, counted by callgrind: figures that no other program spoils. They are held against those in
-//! `benches/instructions.csv`; `UPDATE_GOLDEN=1` renews these.
+//! `benches/instructions.csv`, where that was written by the same compiler, for the same instruction set; `UPDATE_GOLDEN=1` renews it.
 #![allow(missing_docs, clippy::panic, clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
 
 mod walk;
@@ -7,12 +7,13 @@ mod walk;
 use std::fmt::Write;
 use std::hint::black_box;
 use std::path::Path;
-use std::process::{Command, ExitCode};
+use std::process::{Command, ExitCode, Output};
 use std::{env, fs};
 
 use anytime_scan_matcher::matching::correspondence::Correspondence;
 use anytime_scan_matcher::matching::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
+use fearless_simd::Level;
 use walk::{LASERS, Laser, Pair, match_pair, walk};
 
 /// Matches that each figure is the mean of.
@@ -21,6 +22,8 @@ const MATCHES: u32 = 20;
 const TOLERANCE: f64 = 0.03;
 /// First argument of the runs that are counted.
 const COUNTED: &str = "--counted";
+/// Argument of the run that says for which instruction set the matcher chooses its code.
+const LEVEL: &str = "--level";
 const STAGES: [&str; 3] = ["view", "projective", "jump_table"];
 
 fn main() -> ExitCode {
@@ -28,6 +31,10 @@ fn main() -> ExitCode {
     match arguments.as_slice() {
         [first, stage, beams] if first == COUNTED => {
             run(stage, beams.parse().unwrap());
+            ExitCode::SUCCESS
+        }
+        [only] if only == LEVEL => {
+            println!("{:?}", Level::new());
             ExitCode::SUCCESS
         }
         _ => check(),
@@ -55,14 +62,22 @@ fn counted(stage: &str, matcher: &mut Matcher, pair: &Pair) {
     }
 }
 
+/// Runs this program on valgrind's processor.
+fn valgrind(tool: &[&str], arguments: &[&str]) -> Output {
+    Command::new("valgrind").args(tool).arg(env::current_exe().unwrap()).args(arguments).output().unwrap()
+}
+
+/// What the figures hang on beside the code: instruction set and compiler.
+fn circumstances() -> String {
+    let level = String::from_utf8(valgrind(&["--tool=none"], &[LEVEL]).stdout).unwrap();
+    let compiler = String::from_utf8(Command::new("rustc").arg("--version").output().unwrap().stdout).unwrap();
+    format!("# {}, {}", level.split('(').next().unwrap().trim(), compiler.trim())
+}
+
 /// Instructions of one match.
 fn count(stage: &str, beams: usize) -> f64 {
-    let output = Command::new("valgrind")
-        .args(["--tool=callgrind", "--callgrind-out-file=/dev/null", "--toggle-collect=*counted*"])
-        .arg(env::current_exe().unwrap())
-        .args([COUNTED, stage, &beams.to_string()])
-        .output()
-        .unwrap();
+    let tool = ["--tool=callgrind", "--callgrind-out-file=/dev/null", "--toggle-collect=*counted*"];
+    let output = valgrind(&tool, &[COUNTED, stage, &beams.to_string()]);
     let log = String::from_utf8_lossy(&output.stderr);
     let total = log.lines().find_map(|line| line.split("Collected :").nth(1)).unwrap_or_else(|| panic!("no count: {log}"));
     total.trim().parse::<f64>().unwrap() / f64::from(MATCHES)
@@ -75,7 +90,8 @@ fn check() -> ExitCode {
     }
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/instructions.csv");
     let kept = fs::read_to_string(&file).unwrap_or_default();
-    let mut found = String::from("stage,beams,instructions\n");
+    let here = circumstances();
+    let mut found = format!("{here}\nstage,beams,instructions\n");
     let mut differ = 0;
     for stage in STAGES {
         for (_, beams) in LASERS {
@@ -90,6 +106,10 @@ fn check() -> ExitCode {
     }
     if env::var_os("UPDATE_GOLDEN").is_some() {
         fs::write(&file, found).unwrap();
+        return ExitCode::SUCCESS;
+    }
+    if let Some(there) = kept.lines().next().filter(|there| *there != here) {
+        eprintln!("SKIPPED: these figures ({here}) cannot be held against those of {} ({there})", file.display());
         return ExitCode::SUCCESS;
     }
     if differ > 0 {
