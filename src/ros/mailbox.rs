@@ -6,8 +6,10 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::inlet::Letter;
+use super::interrupts::LOOK;
 use super::live_params::MatchingChange;
 use super::subscriptions::Input;
+use crate::anytime::interrupt::Interrupt;
 
 /// Events that may wait: four seconds of odometry at 1 kHz. A match that takes longer loses the oldest.
 const CAPACITY: usize = 4096;
@@ -89,6 +91,15 @@ impl<I> State<I> {
     }
 }
 
+/// Ends what can be left undone when there is another scan.
+pub(super) struct NextScan<'a, I = Input>(pub(super) &'a Mailbox<I>);
+
+impl<I: Send> Interrupt for NextScan<'_, I> {
+    fn is_requested(&self) -> bool {
+        self.0.has_scan()
+    }
+}
+
 /// What was lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Dropped {
@@ -137,8 +148,14 @@ impl<I> Mailbox<I> {
         (!state.closed).then(|| state.take())
     }
 
+    /// The events to go on with while a scan is held back, for which there is so much time `left`. `None`: it is to be answered now.
+    pub(super) fn events_for_held_scan(&self, left: Duration) -> Option<VecDeque<Event<I>>> {
+        let wait_no_more = left.is_zero() || self.has_scan() || self.is_closed();
+        (!wait_no_more).then(|| self.take_events(left.min(LOOK)).unwrap_or_default())
+    }
+
     /// Waits for events while a scan is held back: at most `timeout`, and no longer once a newer scan is here. `None`: none came.
-    pub(super) fn take_events(&self, timeout: Duration) -> Option<VecDeque<Event<I>>> {
+    fn take_events(&self, timeout: Duration) -> Option<VecDeque<Event<I>>> {
         let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         let events = state.take_events();
@@ -154,8 +171,7 @@ impl<I> Mailbox<I> {
         self.lock().dropped
     }
 
-    /// Whether it is closed.
-    pub(super) fn is_closed(&self) -> bool {
+    fn is_closed(&self) -> bool {
         self.lock().closed
     }
 

@@ -4,17 +4,16 @@ use std::sync::Arc;
 use std::sync::mpsc::Sender;
 use std::time::Duration;
 
-use serde::Deserialize;
-
 use super::convert::Answer;
 use super::diagnostics::{MOUNT_ASSUMED, Monitor, TRANSFORM_WITHHELD};
 use super::inlet::Letter;
-use super::interrupts::{Interrupts, LOOK};
+use super::interrupts::Interrupts;
 use super::live_params::MatchingChange;
-use super::log::{Log, Throttle};
-use super::mailbox::{Event, Mailbox, Work};
+use super::log::Log;
+use super::mailbox::{Event, Mailbox, NextScan, Work};
 use super::priority::Urgency;
 use super::publishers::Publishers;
+use super::reader::Reader;
 use super::services::Reply;
 use super::subscriptions::Input;
 use crate::anytime::clock::Clock;
@@ -23,22 +22,11 @@ use crate::app::{App, Estimate, MountSource};
 use crate::messages::geometry_msgs::TwistStamped;
 use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::tf2_msgs::TFMessage;
-use crate::messages::{Message, decode};
 use crate::odometry::Outcome;
 use crate::time::Stamp;
-use crate::transforms::frame_name;
 
 /// Transforms may come a little later than the first scans do.
 const PATIENCE_FOR_MOUNT: Duration = Duration::from_secs(2);
-
-/// Ends what can be left undone when there is another scan to answer.
-struct NextScan<'a>(&'a Mailbox);
-
-impl Interrupt for NextScan<'_> {
-    fn is_requested(&self) -> bool {
-        self.0.has_scan()
-    }
-}
 
 /// What is matched.
 enum Sensed {
@@ -76,7 +64,7 @@ pub(super) struct Matcher {
     monitor: Arc<Monitor>,
     replies: Sender<Reply>,
     log: Log,
-    throttle: Throttle,
+    reader: Reader,
     mount_told: Option<MountSource>,
     first_answer: Option<Duration>,
 }
@@ -85,19 +73,8 @@ impl Matcher {
     /// `shared`: what it shares with the rest of the node.
     pub(super) fn new(app: App, publishers: Publishers, shared: Shared) -> Self {
         let Shared { mailbox, interrupts, clock, monitor, replies, log } = shared;
-        Self {
-            app,
-            publishers,
-            mailbox,
-            interrupts,
-            clock,
-            monitor,
-            replies,
-            log,
-            throttle: Throttle::default(),
-            mount_told: None,
-            first_answer: None,
-        }
+        let reader = Reader::new(&clock, &log).counting(&monitor);
+        Self { app, publishers, mailbox, interrupts, clock, monitor, replies, log, reader, mount_told: None, first_answer: None }
     }
 
     /// Works until the mailbox is closed.
@@ -130,9 +107,9 @@ impl Matcher {
 
     fn read_sensed(&mut self, letter: &Letter) -> Option<Sensed> {
         if self.app.config().cloud.input {
-            self.read(Input::Cloud, letter).map(Sensed::Cloud)
+            self.reader.read(Input::Cloud.name(), letter).map(Sensed::Cloud)
         } else {
-            self.read(Input::Scan, letter).map(Sensed::Scan)
+            self.reader.read(Input::Scan.name(), letter).map(Sensed::Scan)
         }
     }
 
@@ -140,10 +117,9 @@ impl Matcher {
     fn await_odometry(&mut self, stamp: Stamp, arrival: Duration) {
         while let Some(longest) = self.app.wait_for_odometry(stamp) {
             let left = (arrival + longest).saturating_sub(self.clock.now());
-            if left.is_zero() || self.mailbox.has_scan() || self.mailbox.is_closed() || self.interrupts.is_requested() {
-                return;
-            }
-            for event in self.mailbox.take_events(left.min(LOOK)).unwrap_or_default() {
+            let events = if self.interrupts.is_requested() { None } else { self.mailbox.events_for_held_scan(left) };
+            let Some(events) = events else { return };
+            for event in events {
                 self.handle(event);
             }
         }
@@ -156,23 +132,24 @@ impl Matcher {
             Event::Change(change) => return self.apply(change),
             Event::Message(input, letter) => (input, letter),
         };
+        let topic = input.name();
         let outcome = match input {
             Input::Scan | Input::Cloud | Input::Interrupt => Ok(()), // no events
-            Input::Odometry => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_odometry(&message)),
-            Input::Imu => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_imu(&message)),
-            Input::Velocity => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_velocity(&message)),
+            Input::Odometry => self.reader.read(topic, &letter).map_or(Ok(()), |message| self.app.on_odometry(&message)),
+            Input::Imu => self.reader.read(topic, &letter).map_or(Ok(()), |message| self.app.on_imu(&message)),
+            Input::Velocity => self.reader.read(topic, &letter).map_or(Ok(()), |message| self.app.on_velocity(&message)),
             Input::StampedVelocity => {
-                self.read::<TwistStamped>(input, &letter).map_or(Ok(()), |message| self.app.on_velocity(&message.twist))
+                self.reader.read::<TwistStamped>(topic, &letter).map_or(Ok(()), |message| self.app.on_velocity(&message.twist))
             }
-            Input::InitialPose => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_initial_pose(&message)),
-            Input::Contract => self.read(input, &letter).map_or(Ok(()), |message| self.app.on_contract(&message)),
-            Input::Transforms | Input::StaticTransforms => self.read(input, &letter).map_or(Ok(()), |message| {
-                self.watch_for_second_parent(&message, &letter.sender);
+            Input::InitialPose => self.reader.read(topic, &letter).map_or(Ok(()), |message| self.app.on_initial_pose(&message)),
+            Input::Contract => self.reader.read(topic, &letter).map_or(Ok(()), |message| self.app.on_contract(&message)),
+            Input::Transforms | Input::StaticTransforms => self.reader.read(topic, &letter).map_or(Ok(()), |message| {
+                self.give_way(&message, &letter.sender);
                 self.app.on_transforms(&message)
             }),
         };
         if let Err(error) = outcome {
-            self.refuse(input, &letter.sender, &error);
+            self.reader.refuse(topic, &letter.sender, &error);
         }
     }
 
@@ -194,32 +171,10 @@ impl Matcher {
         }
     }
 
-    fn read<T: Message + for<'de> Deserialize<'de>>(&mut self, input: Input, letter: &Letter) -> Option<T> {
-        decode(&letter.bytes).map_err(|error| self.refuse(input, &letter.sender, &error)).ok()
-    }
-
-    fn refuse(&mut self, input: Input, sender: &str, problem: &dyn std::error::Error) {
-        self.monitor.count_refused();
-        self.warn(input.name(), &format!("a message from {sender} is refused: {problem}"));
-    }
-
-    fn warn(&mut self, subject: &'static str, text: &str) {
-        if self.throttle.allows(subject, self.clock.now()) {
-            self.log.warn(&format!("{subject}: {text}"));
-        }
-    }
-
-    /// A frame has one parent. Who else publishes one for the base was there first, or knows better: a simulator, say.
-    fn watch_for_second_parent(&mut self, message: &TFMessage, sender: &str) {
-        let base = frame_name(&self.app.config().frames.base_frame);
-        let rival = message.transforms.iter().find(|transform| frame_name(&transform.child_frame_id) == base);
-        let Some(rival) = rival else { return };
-        if self.publishers.withhold_transform() {
-            self.log.warn(&format!(
-                "{sender} publishes the transform {} -> {base}: this node's own is held back from now on, as a frame has one parent \
-                 (parameter publish_tf)",
-                rival.header.frame_id,
-            ));
+    fn give_way(&self, message: &TFMessage, sender: &str) {
+        let base_frame = &self.app.config().frames.base_frame;
+        if let Some(warning) = self.publishers.transform().give_way(message, sender, base_frame) {
+            self.log.warn(&warning);
             self.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
     }
@@ -236,7 +191,7 @@ impl Matcher {
         self.publish_details(&estimate, number);
         self.app.maintain(&NextScan(&self.mailbox));
         if let Outcome::Predicted(problem) = &estimate.registration.outcome {
-            self.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
+            self.reader.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
         }
         self.watch_mount();
         self.monitor.record((&estimate).into());

@@ -31,6 +31,7 @@ mod path;
 mod priority;
 mod publishers;
 pub mod racecar_sim;
+mod reader;
 mod services;
 mod shell;
 mod shutdown;

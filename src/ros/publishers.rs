@@ -128,9 +128,9 @@ impl Publishers {
         self.debug.has_listeners()
     }
 
-    /// Ends the publication of transforms; whether there was any.
-    pub(super) fn withhold_transform(&self) -> bool {
-        self.transform.withhold()
+    /// The output of transforms.
+    pub(super) fn transform(&self) -> &TransformOutput {
+        &self.transform
     }
 
     /// What the controller waits for: the pose, and the edge that says it is there.

@@ -1,4 +1,4 @@
-//! The output of transforms, which can be switched while the node runs.
+//! The output of transforms, which can be switched while a node runs, and gives way to another node's.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -8,6 +8,8 @@ use rosrust_msg::tf2_msgs::TFMessage;
 use super::NodeError;
 use super::master::Role;
 use super::publishers::Output;
+use crate::messages::tf2_msgs as messages;
+use crate::transforms::frame_name;
 
 /// `/tf`, while it is on.
 #[derive(Default)]
@@ -23,9 +25,17 @@ impl TransformOutput {
         Ok(())
     }
 
-    /// Ends the publication; whether there was any.
-    pub(super) fn withhold(&self) -> bool {
-        self.lock().take().is_some()
+    /// A frame has one parent. Who else publishes one for `child` was there first, or knows better, as a simulator does: then the
+    /// publication ends, if there was any, and this is what to say of it.
+    pub(super) fn give_way(&self, message: &messages::TFMessage, sender: &str, child: &str) -> Option<String> {
+        let child = frame_name(child);
+        let rival = message.transforms.iter().find(|transform| frame_name(&transform.child_frame_id) == child)?;
+        self.lock().take()?;
+        Some(format!(
+            "{sender} publishes the transform {} -> {child}: this node's own is held back from now on, as a frame has one parent \
+             (parameter publish_tf)",
+            rival.header.frame_id,
+        ))
     }
 
     /// Hands a message over, if it is on.

@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
 use rosrust_msg::anytime_scan_matcher::Contract as ContractMessage;
-use serde::Deserialize;
 
 use super::ContractDemoKnobs;
 use super::adherence::Adherence;
@@ -15,16 +14,17 @@ use super::budget::{BudgetLaw, Schedule};
 use super::csv_file::CsvFile;
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
+use crate::messages::Message as _;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::MatchReport;
 use crate::messages::std_msgs::{Header, Int32};
-use crate::messages::{Message, decode};
 use crate::ros::NodeError;
 use crate::ros::inlet::{Letter, Topic, listen};
 use crate::ros::links::Links;
-use crate::ros::log::{Log, ROSOUT, Throttle};
+use crate::ros::log::{Log, ROSOUT};
 use crate::ros::master::{MasterLink, Role};
 use crate::ros::publishers::Output;
+use crate::ros::reader::Reader;
 use crate::ros::shutdown::StopSignal;
 
 /// How often the node looks whether it is to stop.
@@ -66,7 +66,7 @@ pub(super) struct Controller<'a> {
     csv: Option<CsvFile>,
     log_period: Duration,
     log: Log,
-    throttle: Throttle,
+    reader: Reader,
     // Dropping this ends them.
     _subscriptions: Links<'a>,
 }
@@ -91,6 +91,7 @@ impl<'a> Controller<'a> {
             Duration::from_secs_f64(knobs.budget_fast.0),
             knobs.speed_fast,
         ));
+        let reader = Reader::new(&clock, &log);
         Ok(Self {
             ros,
             clock,
@@ -104,7 +105,7 @@ impl<'a> Controller<'a> {
             csv,
             log_period: Duration::from_secs_f64(knobs.log_period.0),
             log,
-            throttle: Throttle::default(),
+            reader,
             _subscriptions: links,
         })
     }
@@ -132,33 +133,28 @@ impl<'a> Controller<'a> {
     fn handle(&mut self, input: Input, letter: &Letter) {
         match input {
             Input::Odometry => {
-                if let Some(message) = self.read(letter) {
+                if let Some(message) = self.reader.read(Odometry::TYPE, letter) {
                     self.on_odometry(&message);
                 }
             }
             Input::State => {
-                if let Some(message) = self.read::<Int32>(letter) {
+                if let Some(message) = self.reader.read::<Int32>(Int32::TYPE, letter) {
                     self.adherence.on_state(message.data);
                 }
             }
             Input::Report => {
-                if let Some(message) = self.read(letter) {
+                if let Some(message) = self.reader.read(MatchReport::TYPE, letter) {
                     self.on_report(&message);
                 }
             }
         }
     }
 
-    fn read<T: Message + for<'de> Deserialize<'de>>(&mut self, letter: &Letter) -> Option<T> {
-        let refused = |error| self.warn(T::TYPE, &format!("a message from {} is refused: {error}", letter.sender));
-        decode(&letter.bytes).map_err(refused).ok()
-    }
-
     fn on_odometry(&mut self, message: &Odometry) {
         let velocity = &message.twist.twist.linear;
         let speed = velocity.x.hypot(velocity.y);
         if !speed.is_finite() {
-            return self.warn("icp/odom", "the velocity has numbers that are not finite");
+            return self.reader.warn("icp/odom", "the velocity has numbers that are not finite");
         }
         self.speed = speed;
         let contract = self.law.contract(speed);
@@ -171,11 +167,11 @@ impl<'a> Controller<'a> {
         let in_force = Contract::new(report.time_budget.seconds(), report.translation_error_bound, report.rotation_error_bound);
         match in_force {
             Ok(contract) => self.schedule.observe(contract),
-            Err(error) => return self.warn("icp_report", &error.to_string()),
+            Err(error) => return self.reader.warn("icp_report", &error.to_string()),
         }
         self.adherence.on_report(report);
         if let Some(Err(problem)) = self.csv.as_mut().map(|csv| csv.write(report, self.speed)) {
-            self.warn("csv", &format!("a row is lost: {problem}"));
+            self.reader.warn("csv", &format!("a row is lost: {problem}"));
         }
     }
 
@@ -185,12 +181,6 @@ impl<'a> Controller<'a> {
         self.log.info(&format!("{:.2} m/s, budget {budget:.2?}; in {time:.1?}: {line}", self.speed));
         if let Some(problem) = self.adherence.disagreement() {
             self.log.warn(&problem);
-        }
-    }
-
-    fn warn(&mut self, subject: &'static str, text: &str) {
-        if self.throttle.allows(subject, self.clock.now()) {
-            self.log.warn(&format!("{subject}: {text}"));
         }
     }
 }

@@ -14,6 +14,7 @@ use crate::messages::sensor_msgs::LaserScan;
 use crate::ros::NodeError;
 use crate::ros::master::Role;
 use crate::ros::publishers::Output;
+use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
 
 /// Where the pose leaves by.
@@ -26,19 +27,21 @@ pub(super) struct Publishers {
     particles: Output<PoseArray>,
     inferred_pose: Output<PoseStamped>,
     fake_scan: Output<ScanMessage>,
-    transform: Option<Output<TFMessage>>,
+    transform: TransformOutput,
     last_pose: Option<Stamp>,
 }
 
 impl Publishers {
     pub(super) fn new(ros: &Ros, publish_tf: bool) -> Result<Self, NodeError> {
+        let transform = TransformOutput::default();
+        transform.switch(ros, publish_tf)?;
         Ok(Self {
             pose: Output::new(ros, POSE)?,
             report: Output::new(ros, "pf/report")?,
             particles: Output::new(ros, "pf/viz/particles")?,
             inferred_pose: Output::new(ros, "pf/viz/inferred_pose")?,
             fake_scan: Output::new(ros, "pf/viz/fake_scan")?,
-            transform: if publish_tf { Some(Output::new(ros, "/tf")?) } else { None },
+            transform,
             last_pose: None,
         })
     }
@@ -47,12 +50,12 @@ impl Publishers {
     pub(super) fn roles(&self) -> Vec<Role> {
         let always =
             [self.pose.role(), self.report.role(), self.particles.role(), self.inferred_pose.role(), self.fake_scan.role()];
-        always.into_iter().chain(self.transform.as_ref().map(Output::role)).collect()
+        always.into_iter().chain(self.transform.role()).collect()
     }
 
-    /// Ends the publication of transforms; whether there was any.
-    pub(super) fn withhold_transform(&mut self) -> bool {
-        self.transform.take().is_some()
+    /// The output of transforms.
+    pub(super) fn transform(&self) -> &TransformOutput {
+        &self.transform
     }
 
     /// The pose, and the transform that goes with it; without odometry there is no frame to give a place to. `is_fix`: the stamp is a
@@ -64,8 +67,8 @@ impl Publishers {
         self.last_pose = Some(placed.stamp);
         self.pose.send(|| placed.odometry());
         self.inferred_pose.send(|| placed.pose_stamped());
-        if let (Some(transform), Some(odom_from_base), true) = (&self.transform, odom_from_base, is_fix) {
-            transform.send(|| TFMessage { transforms: vec![placed.transform(&odom_from_base)] });
+        if let (Some(odom_from_base), true) = (odom_from_base, is_fix) {
+            self.transform.send(|| TFMessage { transforms: vec![placed.transform(&odom_from_base)] });
         }
     }
 

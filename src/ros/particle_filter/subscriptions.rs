@@ -37,6 +37,11 @@ impl Input {
         Self::StaticTransforms,
     ];
 
+    /// Its name before remapping.
+    pub(super) fn name(self) -> &'static str {
+        self.topic().name
+    }
+
     pub(super) fn topic(self) -> Topic {
         match self {
             Self::Scan => Topic::of::<LaserScan>("scan"),

@@ -9,7 +9,6 @@ use super::convert::Placed;
 use super::publishers::Publishers;
 use super::subscriptions::Input;
 use crate::anytime::clock::Clock;
-use crate::anytime::interrupt::Interrupt;
 use crate::anytime::timer::Timer;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::{InputError, MountSource, map_message};
@@ -21,27 +20,18 @@ use crate::map::grid::OccupancyGrid;
 use crate::messages::own::Contract;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
-use crate::messages::{Message, decode, nav_msgs};
+use crate::messages::{Message, nav_msgs};
 use crate::ros::diagnostics::{MOUNT_ASSUMED, Monitor, Sample, TRANSFORM_WITHHELD};
 use crate::ros::inlet::Letter;
-use crate::ros::interrupts::LOOK;
-use crate::ros::log::{Log, Throttle};
-use crate::ros::mailbox::{Event, Mailbox, Work};
+use crate::ros::log::Log;
+use crate::ros::mailbox::{Event, Mailbox, NextScan, Work};
 use crate::ros::priority::Urgency;
-use crate::transforms::{TransformTree, frame_name};
+use crate::ros::reader::Reader;
+use crate::transforms::TransformTree;
 
 /// Conditions of this node.
 const NO_MAP: &str = "there is no map yet (parameter localization/map, or topic map)";
 const NOT_LOCALIZED: &str = "where the robot is, is not known";
-
-/// Ends what can be left undone when there is another scan.
-struct NextScan<'a>(&'a Mailbox<Input>);
-
-impl Interrupt for NextScan<'_> {
-    fn is_requested(&self) -> bool {
-        self.0.has_scan()
-    }
-}
 
 /// Everything the localizing thread owns.
 pub(super) struct Worker {
@@ -60,7 +50,7 @@ pub(super) struct Worker {
     clock: Arc<dyn Clock>,
     monitor: Arc<Monitor>,
     log: Log,
-    throttle: Throttle,
+    reader: Reader,
 }
 
 impl Worker {
@@ -73,6 +63,7 @@ impl Worker {
         log: Log,
     ) -> Self {
         monitor.set_condition(NO_MAP, true);
+        let reader = Reader::new(&clock, &log).counting(&monitor);
         Self {
             config,
             localizer: None,
@@ -85,7 +76,7 @@ impl Worker {
             clock,
             monitor,
             log,
-            throttle: Throttle::default(),
+            reader,
         }
     }
 
@@ -171,10 +162,10 @@ impl Worker {
                 None => self.log.warn(NO_MAP),
             },
             Event::Message(Input::Map, letter) => {
-                if let Some(message) = self.read::<nav_msgs::OccupancyGrid>(Input::Map, &letter) {
+                if let Some(message) = self.reader.read::<nav_msgs::OccupancyGrid>(Input::Map.name(), &letter) {
                     match map_message::grid(&message) {
                         Ok(map) => self.set_map(map),
-                        Err(error) => self.refuse(Input::Map, &letter.sender, &error),
+                        Err(error) => self.reader.refuse(Input::Map.name(), &letter.sender, &error),
                     }
                 }
             }
@@ -190,7 +181,7 @@ impl Worker {
             Input::Odometry => self.tell(input, letter, |localizer, message| localizer.on_odometry(&message)),
             Input::InitialPose => self.tell(input, letter, |localizer, message| localizer.on_initial_pose(&message)),
             Input::ClickedPoint => self.tell(input, letter, |localizer, message| localizer.on_clicked_point(&message)),
-            Input::Contract => match (self.read::<Contract>(input, letter), &mut self.localizer) {
+            Input::Contract => match (self.reader.read::<Contract>(input.name(), letter), &mut self.localizer) {
                 (Some(contract), Some(localizer)) => {
                     let outcome = localizer.on_contract(&contract);
                     self.judge(input, sender, outcome);
@@ -198,8 +189,8 @@ impl Worker {
                 (contract, _) => self.contract = contract.or(self.contract.take()),
             },
             Input::Transforms | Input::StaticTransforms => {
-                let Some(message) = self.read::<TFMessage>(input, letter) else { return };
-                self.watch_for_second_parent(&message, sender);
+                let Some(message) = self.reader.read::<TFMessage>(input.name(), letter) else { return };
+                self.give_way(&message, sender);
                 if let Some(localizer) = &mut self.localizer {
                     let outcome = localizer.on_transforms(&message);
                     self.judge(input, sender, outcome);
@@ -217,7 +208,7 @@ impl Worker {
         letter: &Letter,
         take: impl FnOnce(&mut Localizer, T) -> Result<(), InputError>,
     ) {
-        let Some(message) = self.read(input, letter) else { return };
+        let Some(message) = self.reader.read(input.name(), letter) else { return };
         if let Some(localizer) = &mut self.localizer {
             let outcome = take(localizer, message);
             self.judge(input, &letter.sender, outcome);
@@ -226,35 +217,14 @@ impl Worker {
 
     fn judge(&mut self, input: Input, sender: &str, outcome: Result<(), InputError>) {
         if let Err(error) = outcome {
-            self.refuse(input, sender, &error);
+            self.reader.refuse(input.name(), sender, &error);
         }
     }
 
-    fn read<T: Message + for<'de> Deserialize<'de>>(&mut self, input: Input, letter: &Letter) -> Option<T> {
-        decode(&letter.bytes).map_err(|error| self.refuse(input, &letter.sender, &error)).ok()
-    }
-
-    fn refuse(&mut self, input: Input, sender: &str, problem: &dyn std::error::Error) {
-        self.monitor.count_refused();
-        self.warn(input.topic().name, &format!("a message from {sender} is refused: {problem}"));
-    }
-
-    fn warn(&mut self, subject: &'static str, text: &str) {
-        if self.throttle.allows(subject, self.clock.now()) {
-            self.log.warn(&format!("{subject}: {text}"));
-        }
-    }
-
-    /// A frame has one parent. Who else publishes one for the odometry's frame was there first, or knows better.
-    fn watch_for_second_parent(&mut self, message: &TFMessage, sender: &str) {
-        let odom = frame_name(&self.config.frames.odom_frame);
-        let rival = message.transforms.iter().find(|transform| frame_name(&transform.child_frame_id) == odom);
-        if let (Some(rival), true) = (rival, rival.is_some() && self.publishers.withhold_transform()) {
-            self.log.warn(&format!(
-                "{sender} publishes the transform {} -> {odom}: this node's own is held back from now on, as a frame has one parent \
-                 (parameter publish_tf)",
-                rival.header.frame_id,
-            ));
+    fn give_way(&self, message: &TFMessage, sender: &str) {
+        let odom_frame = &self.config.frames.odom_frame;
+        if let Some(warning) = self.publishers.transform().give_way(message, sender, odom_frame) {
+            self.log.warn(&warning);
             self.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
     }
@@ -264,19 +234,17 @@ impl Worker {
         let wait = |worker: &Self| worker.localizer.as_ref()?.wait_for_odometry(scan.header.stamp.into());
         while let Some(longest) = wait(self) {
             let left = (letter.arrival + longest).saturating_sub(self.clock.now());
-            if left.is_zero() || self.mailbox.has_scan() || self.mailbox.is_closed() {
-                return;
-            }
-            for event in self.mailbox.take_events(left.min(LOOK)).unwrap_or_default() {
+            let Some(events) = self.mailbox.events_for_held_scan(left) else { return };
+            for event in events {
                 self.handle(event);
             }
         }
     }
 
     fn answer(&mut self, letter: &Letter, urgency: &mut Urgency) {
-        let Some(scan) = self.read::<LaserScan>(Input::Scan, letter) else { return };
+        let Some(scan) = self.reader.read::<LaserScan>(Input::Scan.name(), letter) else { return };
         if self.localizer.is_none() {
-            return self.warn("scan", NO_MAP);
+            return self.reader.warn("scan", NO_MAP);
         }
         self.await_odometry(&scan, letter);
         let Some(localizer) = &mut self.localizer else { return };
@@ -309,7 +277,7 @@ impl Worker {
         self.monitor.set_condition(NOT_LOCALIZED, !fix.belief.as_ref().is_ok_and(Belief::is_localized));
         let problem = fix.belief.as_ref().err().map(ToString::to_string);
         if let Some(problem) = &problem {
-            self.warn("scan", &format!("not used: {problem}"));
+            self.reader.warn("scan", &format!("not used: {problem}"));
         }
         self.monitor.record(Sample { elapsed: fix.elapsed, overrun: fix.overrun(), problem });
     }

@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use rand_pcg::Pcg64;
 use rosrust::api::{Master, Ros};
-use serde::Deserialize;
 
 use super::beat::Beat;
 use super::ground::Ground;
@@ -14,18 +13,19 @@ use super::{RacecarSimKnobs, face};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::app::planar_pose;
 use crate::geometry::Pose2;
+use crate::messages::Message as _;
 use crate::messages::ackermann_msgs::AckermannDriveStamped;
 use crate::messages::geometry_msgs::{Pose, PoseStamped, PoseWithCovarianceStamped, Twist};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
-use crate::messages::{Message, decode};
 use crate::ros::NodeError;
 use crate::ros::inlet::{Letter, Topic, listen};
 use crate::ros::links::Links;
-use crate::ros::log::{Log, ROSOUT, Throttle};
+use crate::ros::log::{Log, ROSOUT};
 use crate::ros::master::{MasterLink, Role};
 use crate::ros::outlet::Outlet;
+use crate::ros::reader::Reader;
 use crate::ros::shutdown::StopSignal;
 use crate::simulation::car::Car;
 use crate::simulation::driver::Driver;
@@ -101,8 +101,7 @@ pub(super) struct Simulator<'a> {
     scans: Beat,
     /// Numbers of the last pose and scan, for the headers.
     numbers: (u32, u32),
-    log: Log,
-    throttle: Throttle,
+    reader: Reader,
     // Dropping it ends what it hears.
     _links: Links<'a>,
 }
@@ -130,7 +129,7 @@ impl<'a> Simulator<'a> {
         let master = MasterLink::new(ros, master, roles, &log)?;
         let RacecarSimKnobs { world, rate, scan_rate, wheelbase, seed, .. } = knobs;
         log.info(&format!("simulates a racecar in {world}: poses at {rate} Hz, scans at {scan_rate} Hz"));
-        let now = clock.now();
+        let (now, reader) = (clock.now(), Reader::new(&clock, &log));
         Ok(Self {
             ros,
             clock,
@@ -147,8 +146,7 @@ impl<'a> Simulator<'a> {
             poses: Beat::new(*rate, now),
             scans: Beat::new(*scan_rate, now),
             numbers: (0, 0),
-            log,
-            throttle: Throttle::default(),
+            reader,
             _links: links,
         })
     }
@@ -200,40 +198,35 @@ impl<'a> Simulator<'a> {
     fn handle(&mut self, input: Input, letter: &Letter) {
         match input {
             Input::Drive => {
-                if let Some(message) = self.read::<AckermannDriveStamped>(letter) {
+                if let Some(message) = self.reader.read::<AckermannDriveStamped>(AckermannDriveStamped::TYPE, letter) {
                     let curvature = f64::from(message.drive.steering_angle).tan() / self.wheelbase;
                     self.obey(Command { speed: message.drive.speed.into(), curvature });
                 }
             }
             Input::Velocity => {
-                if let Some(Twist { linear, angular }) = self.read(letter) {
+                if let Some(Twist { linear, angular }) = self.reader.read(Twist::TYPE, letter) {
                     let speed = linear.x;
                     let curvature = if speed.abs() < LEAST_TURNING_SPEED { 0.0 } else { angular.z / speed };
                     self.obey(Command { speed, curvature });
                 }
             }
             Input::Pose => {
-                if let Some(message) = self.read::<PoseStamped>(letter) {
+                if let Some(message) = self.reader.read::<PoseStamped>(PoseStamped::TYPE, letter) {
                     self.teleport(&message.pose);
                 }
             }
             Input::InitialPose => {
-                if let Some(message) = self.read::<PoseWithCovarianceStamped>(letter) {
+                if let Some(message) = self.reader.read::<PoseWithCovarianceStamped>(PoseWithCovarianceStamped::TYPE, letter) {
                     self.teleport(&message.pose.pose);
                 }
             }
         }
     }
 
-    fn read<T: Message + for<'de> Deserialize<'de>>(&mut self, letter: &Letter) -> Option<T> {
-        let refused = |error| self.warn(T::TYPE, &format!("a message from {} is refused: {error}", letter.sender));
-        decode(&letter.bytes).map_err(refused).ok()
-    }
-
     /// Who gives a command takes the wheel.
     fn obey(&mut self, command: Command) {
         if !(command.speed.is_finite() && command.curvature.is_finite()) {
-            return self.warn("drive", "the command has numbers that are not finite");
+            return self.reader.warn("drive", "the command has numbers that are not finite");
         }
         self.driver = None;
         self.command = command;
@@ -247,13 +240,7 @@ impl<'a> Simulator<'a> {
                     driver.find(map_from_base.translation());
                 }
             }
-            Err(error) => self.warn("pose", &error.to_string()),
-        }
-    }
-
-    fn warn(&mut self, subject: &'static str, text: &str) {
-        if self.throttle.allows(subject, self.clock.now()) {
-            self.log.warn(&format!("{subject}: {text}"));
+            Err(error) => self.reader.warn("pose", &error.to_string()),
         }
     }
 }
