@@ -31,6 +31,7 @@ fn kill_after(process: Process, file: &Path, lines: usize, rng: &mut Pcg64) {
     assert!(eventually(|| whole_lines(file).lines().count() > lines), "{}", process.log());
     std::thread::sleep(Duration::from_millis(rng.random_range(0..100)));
     process.signal("KILL");
+    drop(process); // waits for its end
 }
 
 fn anytime(arguments: &[&Path]) -> Command {
@@ -89,7 +90,7 @@ fn the_demo_controller_leaves_a_row_of_every_report_before_the_kill() {
         let mut answered = 0;
         assert!(
             eventually(|| {
-                bench.check_step();
+                bench.step();
                 answered += 1;
                 rows(&table).len() > 20
             }),
