@@ -1,12 +1,13 @@
-//! Instructions of one match, counted by callgrind: figures that no other program spoils. They are held against those in
-//! `benches/instructions.csv`, where that was written by the same compiler, for the same instruction set; `UPDATE_GOLDEN=1` renews it.
+//! Instructions of one match, counted by callgrind: figures that no other program spoils. `cargo test --bench instructions` holds those
+//! of the tests' profile, and `cargo bench --bench instructions` those of the release, against the file kept in `benches/instructions/`,
+//! where that was written with the same compiler for the same instruction set; `UPDATE_GOLDEN=1` renews it.
 #![allow(missing_docs, clippy::panic, clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
 
 mod walk;
 
 use std::fmt::Write;
 use std::hint::black_box;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Output};
 use std::{env, fs};
 
@@ -67,7 +68,14 @@ fn valgrind(tool: &[&str], arguments: &[&str]) -> Output {
     Command::new("valgrind").args(tool).arg(env::current_exe().unwrap()).args(arguments).output().unwrap()
 }
 
-/// What the figures hang on beside the code: instruction set and compiler.
+/// The file of this profile: cargo has a folder for each, and programs in `deps` in it.
+fn file() -> PathBuf {
+    let program = env::current_exe().unwrap();
+    let profile = program.ancestors().nth(2).and_then(Path::file_name).unwrap();
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/instructions").join(profile).with_extension("csv")
+}
+
+/// What the figures hang on beside code and profile: instruction set and compiler.
 fn circumstances() -> String {
     let level = String::from_utf8(valgrind(&["--tool=none"], &[LEVEL]).stdout).unwrap();
     let compiler = String::from_utf8(Command::new("rustc").arg("--version").output().unwrap().stdout).unwrap();
@@ -88,7 +96,7 @@ fn check() -> ExitCode {
         eprintln!("SKIPPED: valgrind is not installed; no instructions are counted");
         return ExitCode::SUCCESS;
     }
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/instructions.csv");
+    let file = file();
     let kept = fs::read_to_string(&file).unwrap_or_default();
     let here = circumstances();
     let mut found = format!("{here}\nstage,beams,instructions\n");
