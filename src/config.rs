@@ -21,13 +21,18 @@ use crate::odometry::OdometryKnobs;
 crate::knobs! {
     /// Frames.
     pub struct FrameKnobs {
-        /// The frame the poses are given in; of the particle filter's, that of the odometry it hears.
+        /// The frame of the map: of `scan_match_location`, and of the particle filter's poses.
+        map_frame: String = "map".into();
+        /// The frame in which the pose never jumps: of `icp/odom`. The particle filter: that of the odometry it hears.
         odom_frame: String = "odom".into();
         /// The robot's frame.
         base_frame: String = "base_link".into();
         /// Publish the transform from `odom_frame` to `base_frame`; held back while another node publishes a parent of `base_frame`.
-        /// The particle filter: the same from `localization.map_frame` to `odom_frame`.
+        /// The particle filter: the same from `map_frame` to `odom_frame`.
         publish_tf: bool = true;
+        /// The scan matcher: publish the transform from `map_frame` to `odom_frame`; held back while another node publishes a parent of
+        /// `odom_frame`, or odometry of its own in it.
+        publish_map_tf: bool = true;
         /// Predict from what another node's transforms say of `base_frame` in this frame, rather than from anything else; unset: do not.
         prediction_frame: Option<String> = None;
     }

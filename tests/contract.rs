@@ -50,7 +50,7 @@ impl Bench {
         let mut estimate = self.app.on_scan(&scan, arrival);
         self.app.conclude(&mut estimate);
         self.app.maintain(&Never);
-        let error = Self::truth(0).between(&truth).between(&estimate.registration.odom_from_base).distance();
+        let error = Self::truth(0).between(&truth).between(&estimate.registration.map_from_base()).distance();
         (estimate, error)
     }
 

@@ -7,11 +7,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
+use anytime_scan_matcher::anytime::interrupt::Never;
 use anytime_scan_matcher::app::App;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::odometry::Registration;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
@@ -55,7 +57,7 @@ fn error(settings: &Settings, app: &mut App, mut keeps: impl FnMut() -> bool, mu
                 let estimate = app.on_scan(&scan, Duration::ZERO);
                 let truth = truths.iter().rev().find(|(stamp, _)| *stamp == estimate.stamp).unwrap().1;
                 let expected = truths[0].1.between(&truth);
-                squares.push(expected.between(&estimate.registration.odom_from_base).distance().powi(2));
+                squares.push(expected.between(&estimate.registration.map_from_base()).distance().powi(2));
             }
             SimulatedMessage::Scan(_) => {}
         }
@@ -103,6 +105,60 @@ fn a_wheel_that_spins_is_survived() {
     assert!(error < 0.02, "{error}");
 }
 
+/// Laps with a laser whose beams are a little farther apart than it says, so that every turn is measured too small.
+fn laps_of_a_laser_that_errs(app: &mut App) -> Vec<(Pose2, Registration)> {
+    let mut settings = settings(3.0, 0.0);
+    settings.drive.duration = Seconds(60.0);
+    let (mut truth, mut answers) = (Pose2::IDENTITY, Vec::new());
+    let scene = Scene::built_in(BuiltIn::Corridor).unwrap();
+    let played: Result<(), std::convert::Infallible> = simulate(&settings, &scene, |_, message| {
+        match message {
+            SimulatedMessage::Mount(mount) => app.on_transforms(&mount).unwrap(),
+            SimulatedMessage::Odometry(odometry) => app.on_odometry(&odometry).unwrap(),
+            SimulatedMessage::Truth { map_from_base, .. } => truth = map_from_base,
+            SimulatedMessage::Scan(mut scan) => {
+                for angle in [&mut scan.angle_min, &mut scan.angle_max, &mut scan.angle_increment] {
+                    *angle *= 0.99;
+                }
+                answers.push((truth, app.on_scan(&scan, Duration::ZERO).registration));
+                app.maintain(&Never);
+            }
+        }
+        Ok(())
+    });
+    played.unwrap();
+    answers
+}
+
+/// How far apart one place is on the map when it is passed a lap later, m: mean over the last lap.
+fn drift_of_a_lap(answers: &[(Pose2, Registration)]) -> f64 {
+    let passed_again = |(i, (truth, answer)): (usize, &(Pose2, Registration))| {
+        let is_near = |(earlier, _): &&(Pose2, Registration)| earlier.between(truth).distance() < 0.2;
+        let before = answers[..i.saturating_sub(200)].iter().rev().find(is_near)?;
+        let (moved, seen) = (before.0.between(truth), before.1.map_from_base().between(&answer.map_from_base()));
+        Some(moved.between(&seen).distance())
+    };
+    let last_lap: Vec<f64> = answers.iter().enumerate().skip(answers.len() * 3 / 4).filter_map(passed_again).collect();
+    assert!(last_lap.len() > 50, "the drive is no more than a lap");
+    last_lap.iter().sum::<f64>() / last_lap.len() as f64
+}
+
+#[test]
+fn places_seen_before_are_recognised_and_the_odometry_never_jumps() {
+    let mut with = app(&[]);
+    let answers = laps_of_a_laser_that_errs(&mut with);
+    let without = drift_of_a_lap(&laps_of_a_laser_that_errs(&mut app(&["odometry.close_loops=false"])));
+    let (drift, recognised) = (drift_of_a_lap(&answers), with.odometry_counters().closed_loops);
+    println!("a lap later a place is {drift:.3} m off, without closing loops {without:.3} m; recognised: {recognised} times");
+    assert!(recognised > 0 && drift < 0.3 * without, "{drift} {without}");
+    let steps = answers.windows(2).map(|pair| {
+        let [(truth, before), (next_truth, after)] = pair else { unreachable!() };
+        truth.between(next_truth).between(&before.odom_from_base.between(&after.odom_from_base)).distance()
+    });
+    let worst = steps.fold(0.0, f64::max);
+    assert!(worst < 0.05, "a jump of {worst} m");
+}
+
 #[test]
 fn at_rest_for_ten_minutes_nothing_moves() {
     let mut random = Pcg64::seed_from_u64(5);
@@ -114,7 +170,7 @@ fn at_rest_for_ten_minutes_nothing_moves() {
         let mut scan = laser.message(Stamp::from_seconds(1.7e9 + 0.1 * f64::from(i)), Pose2::IDENTITY);
         #[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
         scan.ranges.iter_mut().for_each(|range| *range += (0.01 * common::normal(&mut random)) as f32);
-        let pose = app.on_scan(&scan, Duration::ZERO).registration.odom_from_base;
+        let pose = app.on_scan(&scan, Duration::ZERO).registration.map_from_base();
         farthest = farthest.max(pose.distance());
         sum += nalgebra::Vector3::new(pose.x, pose.y, pose.theta.to_degrees());
     }

@@ -368,7 +368,7 @@ impl Localizer {
 
     /// A place is given in the frame of the map; some programs leave the frame empty.
     fn check_frame(&self, frame: &str) -> Result<(), InputError> {
-        let (frame, expected) = (frame_name(frame), frame_name(&self.config.localization.map_frame));
+        let (frame, expected) = (frame_name(frame), frame_name(&self.config.frames.map_frame));
         if frame.is_empty() || frame == expected {
             return Ok(());
         }

@@ -72,9 +72,7 @@ pub enum InputError {
         y: f64,
     },
     /// A place in another frame than the map's.
-    #[error(
-        "it is given in the frame '{frame}', expected '{expected}' (in RViz: the fixed frame; parameter localization.map_frame)"
-    )]
+    #[error("it is given in the frame '{frame}', expected '{expected}' (in RViz: the fixed frame; parameter map_frame)")]
     WrongFrame {
         /// The message's frame.
         frame: String,
@@ -289,10 +287,12 @@ impl App {
     pub fn maintain(&mut self, interrupt: &dyn Interrupt) {
         let now = self.clock.now();
         let task = Task { contract: Contract::default(), arrival: now, taken_up: now };
+        let mut driver = Driver::new(task, &*self.clock, interrupt, &mut self.costs);
         if self.config.contract.finish_after_answer {
-            self.odometry.finish(&mut Driver::new(task, &*self.clock, interrupt, &mut self.costs));
+            self.odometry.finish(&mut driver);
         }
         self.odometry.maintain();
+        self.odometry.close_loop(&mut driver);
         self.costs.learn();
     }
 

@@ -27,8 +27,6 @@ crate::knobs! {
     pub struct LocalizationKnobs {
         /// The map: a YAML file of `map_server`; unset: the node takes the one on the topic `map`.
         map: Option<String> = None;
-        /// The frame of the map.
-        map_frame: String = "map".into();
         /// Where the base is at the start, `[x, y, yaw]` on the map; unset: it may be anywhere.
         initial_pose: Option<Pose2> = None, unit "m, m, rad";
         /// A timer with this period drives the updates, each with the latest scan, if it is new, and odometry; 0: every scan does.

@@ -16,6 +16,8 @@ pub struct Uncertainty {
     /// Ratio of the largest to the smallest eigenvalue of the information matrix, headings measured by their effect at the pairs'
     /// mean distance; infinite where the pairs leave a direction open.
     pub condition_number: f64,
+    /// Unit vector along which the pairs leave the translation open, if they do, in the reference frame. Classic pairs do not say.
+    pub free_direction: Option<Point>,
 }
 
 /// Derivatives of the gradient by the ranges of the reference rays; kept between calls for its memory.
@@ -76,6 +78,7 @@ impl UncertaintyEstimator {
         Uncertainty {
             covariance: sums.covariance(solution.range_noise),
             condition_number: condition_number(&symmetric(&sums.information), sums.distance / solution.pairs.len().max(1) as f64),
+            free_direction: None,
         }
     }
 }

@@ -56,14 +56,16 @@ pub struct MatchReport {
     pub translation_error: f64,
     pub rotation_error: f64,
     pub condition_number: f64,
+    pub free_direction: f64,
     pub new_keyframe: bool,
     pub keyframes: u32,
+    pub closed_loops: u32,
     pub dropped: u32,
 }
 
 impl Message for MatchReport {
     const TYPE: &'static str = "anytime_scan_matcher/MatchReport";
-    const MD5: &'static str = "d8be42be5d46d2adf0eaee3e5f0145e7";
+    const MD5: &'static str = "1f10471edb0651524f97b57a101753bf";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
         ("anytime_scan_matcher/MatchReport", include_str!("../../msg/anytime_scan_matcher/msg/MatchReport.msg")),
         ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),

@@ -1,4 +1,8 @@
 //! Keyframes along the whole path: places that are seen again are recognised because they are still there.
+//!
+//! What lies close together on the map need not have been seen from places close together: between two visits the path has drifted.
+//! So keyframes serve a scan together only where the way between them along the path is short, or where a place of the one visit has
+//! been recognised as one of the other ([`LocalMap::link`]).
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -12,70 +16,190 @@ const METRE_OF_TURN: f64 = 1.0;
 /// Keyframes farther than this from a pose (m, and turns as metres) see other things.
 const REACH: f64 = 3.0;
 
+/// Over this way a path does not drift by much, m.
+const SHORT_WAY: f64 = 20.0;
+
 /// Where a scan was taken.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
     /// Pose of the laser.
-    pub(super) odom_from_laser: Pose2,
-    /// Covariance of that pose, in the odom frame.
+    pub(super) map_from_laser: Pose2,
+    /// Covariance of that pose, in the map frame.
     pub(super) covariance: PoseCovariance,
 }
 
 /// A scan that others are matched to.
 #[derive(Clone, Debug)]
-pub(super) struct Keyframe {
-    pub(super) place: Placement,
-    pub(super) view: Arc<View>,
+struct Keyframe {
+    place: Placement,
+    view: Arc<View>,
+    /// Way along the path from the first keyframe to this one, m.
+    way: f64,
+}
+
+/// Two places of the path, by the ways to them, that are one.
+#[derive(Clone, Copy, Debug)]
+struct Link {
+    later: f64,
+    earlier: f64,
+}
+
+/// Earlier keyframes that have not been recognised yet.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Unrecognised {
+    /// Pose of the laser at the first one.
+    pub(super) map_from_laser: Pose2,
+    way: f64,
 }
 
 /// The keyframes so far.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LocalMap {
     keyframes: VecDeque<Keyframe>,
+    links: Vec<Link>,
+    /// Ways to the keyframes that scans are matched to.
+    matched: Vec<f64>,
+    /// To here along the path earlier keyframes have kept it from drifting, m.
+    held_until: f64,
     /// How different the views near a pose are, and their indices; kept for its memory.
     near: Vec<(f64, usize)>,
 }
 
 impl LocalMap {
-    /// Forgets all keyframes.
+    /// Forgets everything.
     pub(super) fn clear(&mut self) {
-        self.keyframes.clear();
+        *self = Self { near: std::mem::take(&mut self.near), ..Self::default() };
     }
 
     /// Adds a keyframe. Of more than `most`, the oldest goes.
-    pub(super) fn add(&mut self, keyframe: Keyframe, most: usize) {
+    pub(super) fn add(&mut self, place: Placement, view: Arc<View>, most: usize) {
+        let way = self
+            .keyframes
+            .back()
+            .map_or(0.0, |last| last.way + last.place.map_from_laser.between(&place.map_from_laser).distance());
         while self.keyframes.len() >= most.max(1) {
             self.keyframes.pop_front();
         }
-        self.keyframes.push_back(keyframe);
+        self.keyframes.push_back(Keyframe { place, view, way });
+        let oldest = self.keyframes[0].way;
+        self.links.retain(|link| link.earlier + SHORT_WAY >= oldest);
     }
 
-    /// The `count` keyframes that saw most of what is seen from a pose, as views of the first one's laser; where that was. The last
-    /// keyframe is always near enough.
+    /// The last keyframe: where it was taken, and what was seen there.
+    pub(super) fn last(&self) -> Option<(Pose2, &Arc<View>)> {
+        self.keyframes.back().map(|keyframe| (keyframe.place.map_from_laser, &keyframe.view))
+    }
+
+    /// The `count` keyframes that saw most of what is seen from a pose, as views of the first one's laser; where that was. Only those
+    /// that are connected with the ones that scans were matched to before. The last keyframe is always near enough.
     pub(super) fn views_around(
         &mut self,
-        odom_from_laser: &Pose2,
+        map_from_laser: &Pose2,
         count: usize,
         views: &mut Vec<PlacedView>,
     ) -> Option<Placement> {
-        self.near.clear();
-        for (i, Keyframe { place, .. }) in self.keyframes.iter().enumerate() {
-            let motion = odom_from_laser.between(&place.odom_from_laser);
-            let difference = motion.distance() + motion.theta.abs() / METRE_OF_TURN;
-            if difference <= REACH || i + 1 == self.keyframes.len() {
-                self.near.push((difference, i));
+        let last = self.keyframes.len().checked_sub(1)?;
+        let now = self.way();
+        self.find_near(map_from_laser, |map, way| way >= now || map.is_known(way));
+        if self.near.is_empty() {
+            self.near.push((REACH, last));
+        }
+        self.near.truncate(count);
+        self.matched.clear();
+        self.matched.extend(self.near.iter().map(|&(_, i)| self.keyframes[i].way));
+        if !self.is_exploring() {
+            self.held_until = now;
+        }
+        self.place_views(views);
+        Some(self.keyframes[self.near.first()?.1].place)
+    }
+
+    /// The `count` keyframes around a pose that scans are not matched to, as nobody knows whether they are where they seem to be.
+    pub(super) fn unrecognised_around(
+        &mut self,
+        map_from_laser: &Pose2,
+        count: usize,
+        views: &mut Vec<PlacedView>,
+    ) -> Option<Unrecognised> {
+        self.find_near(map_from_laser, |map, way| !map.is_known(way));
+        let &Keyframe { place: Placement { map_from_laser, .. }, way, .. } = &self.keyframes[self.near.first()?.1];
+        let mut near = std::mem::take(&mut self.near);
+        near.retain(|&(_, i)| self.are_connected(way, self.keyframes[i].way));
+        near.truncate(count);
+        self.near = near;
+        self.place_views(views);
+        Some(Unrecognised { map_from_laser, way })
+    }
+
+    /// Whether no scan is matched to keyframes of long ago: then the path drifts.
+    pub(super) fn is_exploring(&self) -> bool {
+        let now = self.way();
+        self.matched.iter().all(|way| now - way <= SHORT_WAY)
+    }
+
+    /// The last keyframe is where these are.
+    pub(super) fn link(&mut self, recognised: &Unrecognised) {
+        self.links.push(Link { later: self.way(), earlier: recognised.way });
+    }
+
+    /// The path has drifted since it was at the keyframe recognised, or since other keyframes of long ago last held it, and is put
+    /// right: `correction` for the last keyframe, and in proportion to the way for those in between.
+    pub(super) fn correct(&mut self, recognised: &Unrecognised, correction: &Pose2) {
+        let start = recognised.way.max(self.held_until);
+        let whole = (self.way() - start).max(f64::MIN_POSITIVE);
+        for Keyframe { place, way, .. } in &mut self.keyframes {
+            let part = ((*way - start) / whole).clamp(0.0, 1.0);
+            let pose = place.map_from_laser;
+            place.map_from_laser = pose.interpolate(&(*correction * pose), part);
+        }
+    }
+
+    /// Way to the last keyframe, m.
+    fn way(&self) -> f64 {
+        self.keyframes.back().map_or(0.0, |keyframe| keyframe.way)
+    }
+
+    fn is_known(&self, way: f64) -> bool {
+        self.matched.iter().any(|&matched| self.are_connected(matched, way))
+    }
+
+    fn are_connected(&self, a: f64, b: f64) -> bool {
+        let by_link = |&Link { later, earlier }: &Link| {
+            let detour = |a: f64, b: f64| (a - later).abs() + (b - earlier).abs();
+            detour(a, b).min(detour(b, a)) <= SHORT_WAY
+        };
+        (a - b).abs() <= SHORT_WAY || self.links.iter().any(by_link)
+    }
+
+    /// Notes the keyframes within reach that are admitted by the way to them, the ones that saw most first.
+    fn find_near(&mut self, map_from_laser: &Pose2, admits: impl Fn(&Self, f64) -> bool) {
+        let mut near = std::mem::take(&mut self.near);
+        near.clear();
+        for (i, keyframe) in self.keyframes.iter().enumerate() {
+            let difference = difference(map_from_laser, keyframe);
+            if difference <= REACH && admits(self, keyframe.way) {
+                near.push((difference, i));
             }
         }
-        self.near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        views.clear();
-        let first = self.keyframes[self.near.first()?.1].place;
-        let placed = |&(_, i): &(f64, usize)| {
-            let Keyframe { place, view } = &self.keyframes[i];
-            PlacedView { reference_from_view: first.odom_from_laser.between(&place.odom_from_laser), view: Arc::clone(view) }
-        };
-        views.extend(self.near.iter().take(count).map(placed));
-        Some(first)
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self.near = near;
     }
+
+    /// The keyframes noted, as views of the first one's laser.
+    fn place_views(&self, views: &mut Vec<PlacedView>) {
+        views.clear();
+        let Some(&(_, first)) = self.near.first() else { return };
+        let first = self.keyframes[first].place.map_from_laser;
+        views.extend(self.near.iter().map(|&(_, i)| {
+            let Keyframe { place, view, .. } = &self.keyframes[i];
+            PlacedView { reference_from_view: first.between(&place.map_from_laser), view: Arc::clone(view) }
+        }));
+    }
+}
+
+fn difference(map_from_laser: &Pose2, keyframe: &Keyframe) -> f64 {
+    let motion = map_from_laser.between(&keyframe.place.map_from_laser);
+    motion.distance() + motion.theta.abs() / METRE_OF_TURN
 }
 
 #[cfg(test)]
@@ -86,34 +210,66 @@ mod tests {
     use crate::scan::{BeamGeometry, Scan};
     use crate::time::Stamp;
 
-    fn map(places: &[f64], most: usize) -> LocalMap {
+    /// Keyframes at these places, each of which scans were matched to before they went on.
+    fn map(places: &[(f64, f64)], most: usize) -> LocalMap {
         let beams = BeamGeometry::new(0.0, 0.1, 30);
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 10.0), vec![1.0; 30]).unwrap();
         let view = Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default()).view(scan);
         let mut map = LocalMap::default();
-        for &x in places {
-            let place = Placement { odom_from_laser: Pose2::new(x, 0.0, 0.0), covariance: PoseCovariance::zeros() };
-            map.add(Keyframe { place, view: Arc::clone(&view) }, most);
+        for &(x, y) in places {
+            let place = Placement { map_from_laser: Pose2::new(x, y, 0.0), covariance: PoseCovariance::zeros() };
+            map.add(place, Arc::clone(&view), most);
+            around(&mut map, (x, y), 1);
         }
         map
     }
 
-    fn around(map: &mut LocalMap, x: f64, count: usize) -> Vec<f64> {
+    fn around(map: &mut LocalMap, (x, y): (f64, f64), count: usize) -> Vec<(f64, f64)> {
         let mut views = Vec::new();
-        let first = map.views_around(&Pose2::new(x, 0.0, 0.0), count, &mut views).unwrap().odom_from_laser.x;
-        views.iter().map(|placed| first + placed.reference_from_view.x).collect()
+        let first = map.views_around(&Pose2::new(x, y, 0.0), count, &mut views).unwrap().map_from_laser;
+        views.iter().map(|placed| first * placed.reference_from_view).map(|pose| (pose.x, pose.y)).collect()
+    }
+
+    /// Out and back along a line, half a metre beside it.
+    fn there_and_back() -> LocalMap {
+        let out = (0..=20).map(|x| (f64::from(x), 0.0));
+        let back = (0..=20).rev().map(|x| (f64::from(x), 0.5));
+        map(&out.chain(back).collect::<Vec<_>>(), 100)
     }
 
     #[test]
-    fn the_nearest_keyframes_are_chosen_however_old() {
-        let mut map = map(&[0.0, 1.0, 2.0, 50.0], 10);
-        assert_eq!(around(&mut map, 0.9, 2), [1.0, 0.0]);
-        assert_eq!(around(&mut map, 51.0, 2), [50.0], "others are out of reach");
-        assert_eq!(around(&mut map, 20.0, 2), [50.0], "the last one always");
+    fn the_nearest_keyframes_are_chosen() {
+        let mut map = map(&[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)], 10);
+        assert_eq!(around(&mut map, (0.9, 0.0), 2), [(1.0, 0.0), (0.0, 0.0)]);
+        assert_eq!(around(&mut map, (20.0, 0.0), 2), [(2.0, 0.0)], "others are out of reach, the last one never");
     }
 
     #[test]
     fn the_oldest_goes_when_there_are_too_many() {
-        assert_eq!(around(&mut map(&[0.0, 1.0, 2.0], 2), 0.0, 5), [1.0, 2.0]);
+        assert_eq!(around(&mut map(&[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)], 2), (0.0, 0.0), 5), [(1.0, 0.0), (2.0, 0.0)]);
+    }
+
+    #[test]
+    fn keyframes_of_long_ago_are_used_once_they_are_recognised() {
+        let mut map = there_and_back();
+        assert!(map.is_exploring());
+        assert_eq!(around(&mut map, (0.9, 0.3), 2), [(1.0, 0.5), (0.0, 0.5)]);
+        let mut views = Vec::new();
+        let recognised = map.unrecognised_around(&Pose2::new(0.9, 0.2, 0.0), 2, &mut views).unwrap();
+        assert_eq!((recognised.map_from_laser, views.len()), (Pose2::new(1.0, 0.0, 0.0), 2));
+        map.link(&recognised);
+        assert_eq!(around(&mut map, (0.9, 0.2), 2), [(1.0, 0.0), (1.0, 0.5)]);
+        assert!(!map.is_exploring());
+        assert_eq!(around(&mut map, (8.0, 0.0), 1), [(8.0, 0.0)], "and those a short way from them");
+    }
+
+    #[test]
+    fn a_correction_is_spread_over_the_way_that_has_drifted() {
+        let mut map = there_and_back();
+        let recognised = map.unrecognised_around(&Pose2::new(0.0, 0.5, 0.0), 1, &mut Vec::new()).unwrap();
+        map.correct(&recognised, &Pose2::new(0.0, -0.5, 0.0));
+        let y = |i: usize| map.keyframes[i].place.map_from_laser.y;
+        assert_eq!((y(0), y(41)), (0.0, 0.0), "the place recognised stays, the last keyframe comes to lie on it");
+        assert!((y(20) + 0.25).abs() < 0.01 && (y(21) - 0.25).abs() < 0.01, "half of it half way: {} {}", y(20), y(21));
     }
 }

@@ -1,25 +1,31 @@
 //! Laser odometry: predict, match, keep the reference up to date.
 //!
-//! [`LaserOdometry::register`] is the whole of it. Frames: `odom` is where the poses are given, `base` is the robot, `laser` the
-//! sensor, and the keyframe is the reference scan's laser.
+//! [`LaserOdometry::register`] is the whole of it. Frames: `map` is where the keyframes are, and drifts as little as they let it;
+//! `odom` is where the pose never jumps (REP 105); `base` is the robot, `laser` the sensor, and the keyframe is the reference scan's
+//! laser. When a place is recognised, map and odom part: [`Registration::map_from_odom`].
 
+mod attempt;
 pub mod heading;
 mod local_map;
+mod loop_closure;
+mod registration;
 pub mod sources;
 pub mod uncertainty;
 pub mod wheel;
 
 use crate::anytime::{Driver, ErrorEstimate, estimated_error};
-use crate::geometry::{Point, Pose2, PoseCovariance, Twist2};
+use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
-use crate::matching::{
-    FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, Prior, Refinement, SearchWindow, StopReason,
-};
+use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
 use crate::scan::Scan;
 use crate::time::Stamp;
+use attempt::{Attempt, Last, Prediction};
 use heading::HeadingReading;
-use local_map::{Keyframe, LocalMap, Placement};
+use local_map::{LocalMap, Placement, Unrecognised};
+use loop_closure::{LoopCloser, Recognition, Sighting};
+pub use registration::{MatchedPoints, Outcome, RefinementReport, Registration};
+use registration::{matched_points, report};
 use sources::MotionSources;
 use wheel::{WheelEvent, WheelSample};
 
@@ -27,14 +33,10 @@ use wheel::{WheelEvent, WheelSample};
 const NEW_RUN: f64 = 1.0;
 /// A constant velocity predicts over gaps up to this, s.
 const MAX_PREDICTION_GAP: f64 = 1.0;
-/// The agreement of scans varies by this from one to the next.
-const USUAL_VARIATION: f64 = 0.05;
 /// Weight of the last scan in the usual agreement.
 const USUAL_WEIGHT: f64 = 0.05;
 /// A sweep that takes longer is a mistake of the driver, s.
 const LONGEST_SWEEP: f64 = 1.0;
-/// To either side of a predicted turn so much of it is searched.
-const SEARCHED_PART_OF_TURN: f64 = 1.2;
 
 crate::choices! {
     /// The scan that is matched to.
@@ -57,6 +59,9 @@ crate::knobs! {
         views: u32 = 3, in 1 to 20;
         /// Keyframes of the local map at most; beyond, the oldest go. One takes 30 bytes per beam.
         max_keyframes: u32 = 1000, in 1 to 10000;
+        /// Recognise places of earlier on the path, in the local map, and put the map right: poses then jump in the map frame, never in
+        /// the odom frame. Takes projective pairs. Without, keyframes serve for 20 m of the way, and map and odom are one.
+        close_loops: bool = true;
         /// A new keyframe after this way.
         keyframe_distance: f64 = 0.4, in 0 to 100, unit "m";
         /// A new keyframe after this turn.
@@ -67,7 +72,7 @@ crate::knobs! {
         deskew: bool = true;
         /// Time from the first ray of a scan to the last, where the driver's `time_increment` does not say; unset: as it says.
         scan_duration: Option<Seconds> = None, in 0 to 1, unit "s";
-        /// Pose of the base at the start, `[x, y, yaw]` in the odom frame.
+        /// Pose of the base at the start, `[x, y, yaw]` in the map frame and in the odom frame.
         initial_pose: Pose2 = Pose2::IDENTITY, unit "m, m, rad";
         /// Longest wait for odometry that is more than 50 ms behind a scan; not longer than the time budget.
         max_wait: Seconds = Seconds(0.3), in 0 to 10, unit "s";
@@ -78,82 +83,13 @@ crate::knobs! {
     }
 }
 
-/// How an answer came about.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Outcome {
-    /// By a match.
-    Matched,
-    /// First scan of a run: the pose is the one the run starts at.
-    First,
-    /// There was no match to be had; the pose is the prediction. Why, in words.
-    Predicted(String),
-}
-
-impl Outcome {
-    /// Whether the pose is to be relied on.
-    pub fn is_ok(&self) -> bool {
-        !matches!(self, Self::Predicted(_))
-    }
-}
-
-/// The answer to one scan.
-#[derive(Clone, Debug)]
-pub struct Registration {
-    /// How the answer came about.
-    pub outcome: Outcome,
-    /// Pose of the base.
-    pub odom_from_base: Pose2,
-    /// Its covariance in the odom frame: grows along the way, as an odometry's does.
-    pub covariance: PoseCovariance,
-    /// Velocity of the base, in the base frame.
-    pub twist: Twist2,
-    /// Covariance of the velocity, in the base frame.
-    pub twist_covariance: PoseCovariance,
-    /// What the refinement did; `None` when there was none.
-    pub refinement: Option<RefinementReport>,
-    /// Error of the first guess.
-    pub predicted_error: ErrorEstimate,
-    /// Error of this answer in itself, not of the way up to here.
-    pub estimated_error: ErrorEstimate,
-    /// Whether the scan becomes the reference of the next ones.
-    pub new_keyframe: bool,
-}
-
-/// What a refinement did.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RefinementReport {
-    /// What ended it.
-    pub stop_reason: StopReason,
-    /// Iterations made.
-    pub iterations: u32,
-    /// Sensed rays that carry a measurement.
-    pub rays: u32,
-    /// Those that took part in the last iteration.
-    pub rays_used: u32,
-    /// Of those, the ones with a partner.
-    pub correspondences: u32,
-    /// Of those, the ones that fixed the pose.
-    pub inliers: u32,
-    /// Mean absolute error of the inliers, m.
-    pub mean_residual: f64,
-    /// Of the information matrix; infinite where a direction is left open.
-    pub condition_number: f64,
-}
-
-/// Matched points for display: sensed points moved to their place and their reference points, in the odom frame, m.
-#[derive(Clone, Debug, Default)]
-pub struct MatchedPoints {
-    /// All points of the reference scan.
-    pub reference: Vec<Point>,
-    /// Sensed point and its partner.
-    pub pairs: Vec<(Point, Point)>,
-}
-
 /// Events that are counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OdometryCounters {
     /// Keyframes so far.
     pub keyframes: u64,
+    /// Places recognised.
+    pub closed_loops: u64,
     /// Answers that were predictions.
     pub predicted: u64,
     /// Matches that were finished after their answer was out.
@@ -172,24 +108,18 @@ pub struct OdometryCounters {
     pub without_odometry: u64,
 }
 
-/// The last answer.
-#[derive(Clone, Copy, Debug)]
-struct Last {
-    stamp: Stamp,
-    odom_from_base: Pose2,
-    odom_from_laser: Pose2,
-    covariance: PoseCovariance,
-    twist: Twist2,
-}
-
 /// Laser odometry: scans and wheel odometry in, poses out.
 pub struct LaserOdometry {
     knobs: OdometryKnobs,
     matcher: Matcher,
-    wheels: MotionSources,
+    sources: MotionSources,
     /// A scan was answered before the odometry had come for it: it may have died, none is waited for until it is back.
     waited_in_vain: bool,
     map: LocalMap,
+    map_from_odom: Pose2,
+    loop_closer: LoopCloser,
+    /// The last keyframe has not been compared with earlier ones yet.
+    to_be_recognised: bool,
     views: Vec<PlacedView>,
     keyframe: Option<Placement>,
     upcoming_keyframe: Option<(Scan, Placement)>,
@@ -210,9 +140,12 @@ impl LaserOdometry {
         Self {
             knobs: knobs.clone(),
             matcher: Matcher::new(matching, rejection),
-            wheels: MotionSources::default(),
+            sources: MotionSources::default(),
             waited_in_vain: false,
             map: LocalMap::default(),
+            map_from_odom: Pose2::IDENTITY,
+            loop_closer: LoopCloser::default(),
+            to_be_recognised: false,
             views: Vec::new(),
             keyframe: None,
             upcoming_keyframe: None,
@@ -252,18 +185,19 @@ impl LaserOdometry {
         self.matcher.set_max_iterations(limit);
     }
 
-    /// Starts again: the next scan is the first one, at `odom_from_base`.
-    pub fn restart_at(&mut self, odom_from_base: Pose2) {
+    /// Starts again: the next scan is the first one, at `map_from_base`; map and odom are one again.
+    pub fn restart_at(&mut self, map_from_base: Pose2) {
         self.forget_reference();
         self.usual_agreement = 1.0;
         self.last = None;
-        self.start = odom_from_base;
+        self.map_from_odom = Pose2::IDENTITY;
+        self.start = map_from_base;
     }
 
     /// Starts again at the initial pose, with nothing known.
     pub fn reset(&mut self) {
         self.restart_at(self.knobs.initial_pose);
-        self.wheels.clear();
+        self.sources.clear();
     }
 
     /// The laser has moved on the base: the next scan becomes a keyframe where the base is.
@@ -271,13 +205,15 @@ impl LaserOdometry {
         self.unfinished = None;
         self.keyframe = None;
         self.map.clear();
+        self.loop_closer.forget();
+        self.to_be_recognised = false;
         self.upcoming_keyframe = None;
     }
 
     /// Takes a message of wheel odometry.
     pub fn add_wheel_sample(&mut self, sample: WheelSample) {
         self.waited_in_vain = false;
-        match self.wheels.push(sample) {
+        match self.sources.push(sample) {
             WheelEvent::Appended | WheelEvent::TimeJump => {}
             WheelEvent::Duplicate => self.counters.duplicate_odometry += 1,
             WheelEvent::Reset => self.counters.odometry_resets += 1,
@@ -287,25 +223,25 @@ impl LaserOdometry {
     /// Takes a reading of the IMU.
     pub fn add_heading(&mut self, reading: HeadingReading) {
         self.waited_in_vain = false;
-        self.wheels.push_heading(reading);
+        self.sources.push_heading(reading);
     }
 
     /// Takes where another node's transforms say the base is.
     pub fn add_transform_sample(&mut self, sample: WheelSample) {
         self.waited_in_vain = false;
-        self.wheels.push_transform(sample);
+        self.sources.push_transform(sample);
     }
 
     /// Takes the velocity of the base as it is now.
     pub fn set_velocity(&mut self, twist: Twist2) {
         if let Some(last) = self.last {
-            self.wheels.set_velocity(last.stamp, twist);
+            self.sources.set_velocity(last.stamp, twist);
         }
     }
 
     /// Whether a scan of this stamp is better answered when the next odometry message has come.
     pub fn awaits_odometry(&self, stamp: Stamp) -> bool {
-        !self.waited_in_vain && self.wheels.is_behind(stamp)
+        !self.waited_in_vain && self.sources.is_behind(stamp)
     }
 
     /// The answer for a scan: where the base was when it was taken. `base_from_laser` is the laser's place on the base.
@@ -324,7 +260,7 @@ impl LaserOdometry {
         let Some(keyframe) = self.keyframe else {
             return self.answer_predicted(scan, &attempt, None, "no reference scan".into(), true);
         };
-        let first_guess = keyframe.odom_from_laser.between(&attempt.predicted_laser());
+        let first_guess = keyframe.map_from_laser.between(&attempt.predicted_laser());
         let found = self.match_to(&keyframe, scan, &attempt, first_guess, driver);
         let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
         let worth_finishing = match found.report.stop_reason {
@@ -353,7 +289,7 @@ impl LaserOdometry {
         if !self.knobs.deskew || seconds <= 0.0 || seconds > LONGEST_SWEEP {
             return None;
         }
-        let by_wheels = self.wheels.motion(scan.stamp(), scan.stamp().offset_by(seconds));
+        let by_wheels = self.sources.motion(scan.stamp(), scan.stamp().offset_by(seconds));
         let motion = by_wheels.or_else(|| Some(self.last?.twist.motion(seconds)))?;
         let laser_motion = base_from_laser.inverse() * motion * *base_from_laser;
         Some(scan.undistorted(&Twist2::of_motion(&laser_motion, seconds), seconds))
@@ -386,15 +322,16 @@ impl LaserOdometry {
         if let Some(agreement) = refinement.agreement() {
             self.usual_agreement += USUAL_WEIGHT * (agreement - self.usual_agreement);
         }
-        let report = report(&refinement, stop_reason, uncertainty.map(|known| known.condition_number));
         let keyframe_from_laser = refinement.pose();
+        let base_heading = keyframe_from_laser.theta - attempt.base_from_laser.theta;
+        let report = report(&refinement, stop_reason, uncertainty.as_ref(), base_heading);
         let match_covariance = uncertainty.and_then(|known| known.covariance);
         let estimated_error = estimated_error(&refinement, match_covariance.as_ref());
         if self.keep_matched_points {
-            self.matched_points = Some(matched_points(&refinement, &self.views, &keyframe.odom_from_laser));
+            self.matched_points = Some(matched_points(&refinement, &self.views, &keyframe.map_from_laser));
         }
-        let odom_from_laser = keyframe.odom_from_laser * keyframe_from_laser;
-        let correction = attempt.predicted_laser().between(&odom_from_laser);
+        let map_from_laser = keyframe.map_from_laser * keyframe_from_laser;
+        let correction = attempt.predicted_laser().between(&map_from_laser);
         if let Some(problem) = problem(&report, &correction, &self.knobs) {
             return Found { report, keyframe_from_laser, answer: Err(problem) };
         }
@@ -402,12 +339,12 @@ impl LaserOdometry {
         let prediction_covariance = attempt.prediction.covariance;
         let match_covariance = match_covariance.unwrap_or(prediction_covariance);
         let laser_covariance =
-            uncertainty::compound(&keyframe.odom_from_laser, &keyframe.covariance, &keyframe_from_laser, &match_covariance);
+            uncertainty::compound(&keyframe.map_from_laser, &keyframe.covariance, &keyframe_from_laser, &match_covariance);
         let laser_from_base = attempt.base_from_laser.inverse();
         let answer = Answer {
             outcome: Outcome::Matched,
-            odom_from_base: odom_from_laser * laser_from_base,
-            covariance: uncertainty::compound(&odom_from_laser, &laser_covariance, &laser_from_base, &PoseCovariance::zeros()),
+            map_from_base: map_from_laser * laser_from_base,
+            covariance: uncertainty::compound(&map_from_laser, &laser_covariance, &laser_from_base, &PoseCovariance::zeros()),
             step_covariance: match_covariance,
             refinement: Some(report),
             predicted_error: ErrorEstimate::of_covariance(&prediction_covariance),
@@ -424,7 +361,8 @@ impl LaserOdometry {
         let changes = upcoming.is_some() || keeps_map;
         if let Some((scan, place)) = upcoming {
             let most = if keeps_map { self.knobs.max_keyframes } else { 1 };
-            self.map.add(Keyframe { place, view: self.matcher.view(scan) }, most as usize);
+            self.map.add(place, self.matcher.view(scan), most as usize);
+            self.to_be_recognised = keeps_map && self.knobs.close_loops;
         }
         if changes {
             self.choose_views();
@@ -435,8 +373,61 @@ impl LaserOdometry {
     fn choose_views(&mut self) {
         let Some(last) = self.last else { return };
         let count = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.views } else { 1 };
-        self.keyframe = self.map.views_around(&last.odom_from_laser, count as usize, &mut self.views);
+        self.keyframe = self.map.views_around(&last.map_from_laser, count as usize, &mut self.views);
         self.matcher.set_views(&self.views);
+    }
+
+    /// Compares the last keyframe with those of long ago that seem to be around, if it has not been done; puts the map right by what
+    /// comes of it. The next scans are answered the better for it, but none needs to wait for it.
+    pub fn close_loop(&mut self, driver: &mut Driver) {
+        if !std::mem::take(&mut self.to_be_recognised) {
+            return;
+        }
+        if let Some(recognised) = self.unrecognised() {
+            let sighting = self.sight(&recognised, driver);
+            match sighting.map(|sighting| self.loop_closer.judge(&sighting)) {
+                // Again when there is more time.
+                None => self.to_be_recognised = true,
+                Some(None) => {}
+                Some(Some(recognition)) => self.recognise(&recognised, &recognition),
+            }
+            self.choose_views();
+        } else {
+            self.loop_closer.forget();
+        }
+    }
+
+    /// The keyframes to compare the last one with, as `views`; none while scans are matched to such keyframes anyway.
+    fn unrecognised(&mut self) -> Option<Unrecognised> {
+        let (place, _) = self.map.last().filter(|_| self.map.is_exploring())?;
+        self.map.unrecognised_around(&place, self.knobs.views as usize, &mut self.views)
+    }
+
+    /// Matches the last keyframe to `views`, the first of which was taken at `earlier`; `None`: there was no time for it.
+    fn sight(&mut self, earlier: &Unrecognised, driver: &mut Driver) -> Option<Sighting> {
+        let (by_path, view) = self.map.last()?;
+        self.matcher.set_views(&self.views);
+        let pose = earlier.map_from_laser.between(&by_path);
+        let guess = FirstGuess { pose, prior: None, window: loop_closure::window() };
+        let mut refinement = self.matcher.begin(view.scan(), guess);
+        if driver.drive(&mut refinement) == StopReason::Interrupted {
+            return None;
+        }
+        let condition_number = refinement.uncertainty().map_or(f64::INFINITY, |known| known.condition_number);
+        let by_earlier = earlier.map_from_laser * refinement.pose();
+        Some(Sighting { by_path, by_earlier, agreement: refinement.agreement().unwrap_or_default(), condition_number })
+    }
+
+    fn recognise(&mut self, earlier: &Unrecognised, recognition: &Recognition) {
+        self.counters.closed_loops += 1;
+        self.map.link(earlier);
+        let Recognition::Drifted(correction) = recognition else { return };
+        self.map.correct(earlier, correction);
+        self.map_from_odom = *correction * self.map_from_odom;
+        if let Some(last) = &mut self.last {
+            last.map_from_base = *correction * last.map_from_base;
+            last.map_from_laser = *correction * last.map_from_laser;
+        }
     }
 
     fn wants_keyframe(&self, keyframe_from_laser: &Pose2) -> bool {
@@ -469,23 +460,31 @@ impl LaserOdometry {
             format!("its stamp is {:.3} s before that of the last scan: out of order", -seconds)
         };
         self.counters.predicted += 1;
-        Some(Registration {
-            outcome: Outcome::Predicted(problem),
-            odom_from_base: last.odom_from_base,
-            covariance: last.covariance,
-            twist: last.twist,
+        let answer = self.registration(Outcome::Predicted(problem), last.map_from_base, &last.covariance);
+        Some(Registration { twist: last.twist, ..answer })
+    }
+
+    /// An answer of which no more is known than this, in terms of the map.
+    fn registration(&self, outcome: Outcome, map_from_base: Pose2, covariance: &PoseCovariance) -> Registration {
+        let odom_from_map = self.map_from_odom.inverse();
+        Registration {
+            outcome,
+            odom_from_base: odom_from_map * map_from_base,
+            map_from_odom: self.map_from_odom,
+            covariance: uncertainty::compound(&odom_from_map, &PoseCovariance::zeros(), &map_from_base, covariance),
+            twist: Twist2::default(),
             twist_covariance: PoseCovariance::zeros(),
             refinement: None,
             predicted_error: ErrorEstimate::UNKNOWN,
             estimated_error: ErrorEstimate::UNKNOWN,
             new_keyframe: false,
-        })
+        }
     }
 
     fn answer_first(&mut self, scan: &Scan, base_from_laser: &Pose2) -> Registration {
         let answer = Answer {
             outcome: Outcome::First,
-            odom_from_base: self.start,
+            map_from_base: self.start,
             covariance: PoseCovariance::zeros(),
             step_covariance: PoseCovariance::zeros(),
             refinement: None,
@@ -510,8 +509,8 @@ impl LaserOdometry {
         let error = ErrorEstimate::of_covariance(covariance);
         let answer = Answer {
             outcome: Outcome::Predicted(problem),
-            odom_from_base: last.odom_from_base * *motion,
-            covariance: uncertainty::compound(&last.odom_from_base, &last.covariance, motion, covariance),
+            map_from_base: last.map_from_base * *motion,
+            covariance: uncertainty::compound(&last.map_from_base, &last.covariance, motion, covariance),
             step_covariance: *covariance,
             refinement,
             predicted_error: error,
@@ -529,29 +528,26 @@ impl LaserOdometry {
             return answer;
         }
         self.counters.predicted += 1;
-        let (odom_from_base, covariance, prediction) = match self.last {
-            Some(last) => (last.odom_from_base, last.covariance, self.predict(&last, stamp)),
+        let (map_from_base, covariance, prediction) = match self.last {
+            Some(last) => (last.map_from_base, last.covariance, self.predict(&last, stamp)),
             None => (self.start, PoseCovariance::zeros(), Prediction::NONE),
         };
         let Prediction { motion, covariance: motion_covariance } = prediction;
+        let covariance = uncertainty::compound(&map_from_base, &covariance, &motion, &motion_covariance);
+        let error = ErrorEstimate::of_covariance(&motion_covariance);
         // The last answer stays as it is: the next scan's prediction starts from the last scan there was.
         Registration {
-            outcome: Outcome::Predicted(problem),
-            odom_from_base: odom_from_base * motion,
-            covariance: uncertainty::compound(&odom_from_base, &covariance, &motion, &motion_covariance),
             twist: self.last.map(|last| last.twist).unwrap_or_default(),
-            twist_covariance: PoseCovariance::zeros(),
-            refinement: None,
-            predicted_error: ErrorEstimate::of_covariance(&motion_covariance),
-            estimated_error: ErrorEstimate::of_covariance(&motion_covariance),
-            new_keyframe: false,
+            predicted_error: error,
+            estimated_error: error,
+            ..self.registration(Outcome::Predicted(problem), map_from_base * motion, &covariance)
         }
     }
 
     /// The motion of the base since the last answer: by what says so, else at constant velocity.
     fn predict(&mut self, last: &Last, stamp: Stamp) -> Prediction {
-        self.waited_in_vain = self.wheels.is_behind(stamp);
-        let (motion, covariance) = if let Some(motion) = self.wheels.motion(last.stamp, stamp) {
+        self.waited_in_vain = self.sources.is_behind(stamp);
+        let (motion, covariance) = if let Some(motion) = self.sources.motion(last.stamp, stamp) {
             (motion, uncertainty::of_wheels(&motion))
         } else {
             self.counters.without_odometry += 1;
@@ -559,42 +555,40 @@ impl LaserOdometry {
             let motion = if seconds <= MAX_PREDICTION_GAP { last.twist.motion(seconds) } else { Pose2::IDENTITY };
             (motion, uncertainty::of_constant_velocity(seconds))
         };
-        let (motion, covariance) = self.wheels.with_heading(motion, covariance, last.stamp, stamp);
+        let (motion, covariance) = self.sources.with_heading(motion, covariance, last.stamp, stamp);
         Prediction { motion, covariance }
     }
 
     fn conclude(&mut self, scan: &Scan, base_from_laser: &Pose2, answer: Answer, becomes_keyframe: bool) -> Registration {
         if becomes_keyframe {
             self.counters.keyframes += 1;
-            let odom_from_laser = answer.odom_from_base * *base_from_laser;
+            let map_from_laser = answer.map_from_base * *base_from_laser;
             let covariance =
-                uncertainty::compound(&answer.odom_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
-            self.upcoming_keyframe = Some((scan.clone(), Placement { odom_from_laser, covariance }));
+                uncertainty::compound(&answer.map_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
+            self.upcoming_keyframe = Some((scan.clone(), Placement { map_from_laser, covariance }));
         }
         let seconds = self.last.map(|last| scan.stamp().seconds_since(last.stamp));
         let twist = match (self.last, seconds) {
-            (Some(last), Some(seconds)) => Twist2::of_motion(&last.odom_from_base.between(&answer.odom_from_base), seconds),
+            (Some(last), Some(seconds)) => Twist2::of_motion(&last.map_from_base.between(&answer.map_from_base), seconds),
             _ => Twist2::default(),
         };
         let twist_covariance =
             seconds.map_or_else(PoseCovariance::zeros, |seconds| answer.step_covariance * 2.0 / (seconds * seconds));
         self.last = Some(Last {
             stamp: scan.stamp(),
-            odom_from_base: answer.odom_from_base,
-            odom_from_laser: answer.odom_from_base * *base_from_laser,
+            map_from_base: answer.map_from_base,
+            map_from_laser: answer.map_from_base * *base_from_laser,
             covariance: answer.covariance,
             twist,
         });
         Registration {
-            outcome: answer.outcome,
-            odom_from_base: answer.odom_from_base,
-            covariance: answer.covariance,
             twist,
             twist_covariance,
             refinement: answer.refinement,
             predicted_error: answer.predicted_error,
             estimated_error: answer.estimated_error,
             new_keyframe: becomes_keyframe,
+            ..self.registration(answer.outcome, answer.map_from_base, &answer.covariance)
         }
     }
 }
@@ -602,65 +596,12 @@ impl LaserOdometry {
 /// What [`LaserOdometry::conclude`] turns into a [`Registration`].
 struct Answer {
     outcome: Outcome,
-    odom_from_base: Pose2,
+    map_from_base: Pose2,
     covariance: PoseCovariance,
     step_covariance: PoseCovariance,
     refinement: Option<RefinementReport>,
     predicted_error: ErrorEstimate,
     estimated_error: ErrorEstimate,
-}
-
-/// A motion of the base that is expected, seen from its start.
-#[derive(Clone, Copy)]
-struct Prediction {
-    motion: Pose2,
-    covariance: PoseCovariance,
-}
-
-impl Prediction {
-    const NONE: Self =
-        Self { motion: Pose2::IDENTITY, covariance: PoseCovariance::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) };
-}
-
-/// A scan to be matched.
-#[derive(Clone, Copy)]
-struct Attempt {
-    /// The answer before.
-    last: Last,
-    /// Motion of the base since then.
-    prediction: Prediction,
-    base_from_laser: Pose2,
-}
-
-impl Attempt {
-    /// Covariance of the predicted pose of the laser in the keyframe's frame.
-    fn prior(&self, keyframe: &Placement) -> Prior {
-        let none = PoseCovariance::zeros();
-        let keyframe_from_last = keyframe.odom_from_laser.between(&self.last.odom_from_base);
-        let Prediction { motion, covariance } = &self.prediction;
-        let keyframe_from_base = keyframe_from_last * *motion;
-        let of_base = uncertainty::compound(&keyframe_from_last, &none, motion, covariance);
-        Prior {
-            pose: keyframe_from_base * self.base_from_laser,
-            covariance: uncertainty::compound(&keyframe_from_base, &of_base, &self.base_from_laser, &none),
-        }
-    }
-
-    /// Where to search, and when: the more the robot has turned, the less is known of how far. Where scans never agree as in a room,
-    /// outdoors, less than usual is a sign.
-    fn window(&self, usual_agreement: f64) -> SearchWindow {
-        let (turn, window) = (self.prediction.motion.theta.abs(), SearchWindow::default());
-        let less_than_usual = (usual_agreement - USUAL_VARIATION).min(window.doubtful_agreement);
-        SearchWindow {
-            angle: window.angle.max(SEARCHED_PART_OF_TURN * turn),
-            doubtful_agreement: if turn > window.angle { f64::INFINITY } else { less_than_usual },
-            ..window
-        }
-    }
-
-    fn predicted_laser(&self) -> Pose2 {
-        self.last.odom_from_base * self.prediction.motion * self.base_from_laser
-    }
 }
 
 /// What came of an attempt.
@@ -669,21 +610,6 @@ struct Found {
     keyframe_from_laser: Pose2,
     /// The answer, or why there is none, in words.
     answer: Result<Answer, String>,
-}
-
-fn report(refinement: &Refinement, stop_reason: StopReason, condition_number: Option<f64>) -> RefinementReport {
-    let last = refinement.trace().last().copied().unwrap_or_default();
-    let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-    RefinementReport {
-        stop_reason,
-        iterations: count(refinement.trace().len()),
-        rays: count(refinement.rays()),
-        rays_used: last.rays,
-        correspondences: last.correspondences,
-        inliers: last.inliers,
-        mean_residual: last.mean_residual,
-        condition_number: condition_number.unwrap_or(f64::INFINITY),
-    }
 }
 
 /// Why the pose reached is not to be believed, if so.
@@ -709,18 +635,4 @@ fn problem(report: &RefinementReport, correction: &Pose2, knobs: &OdometryKnobs)
         ));
     }
     None
-}
-
-fn matched_points(refinement: &Refinement, views: &[PlacedView], odom_from_keyframe: &Pose2) -> MatchedPoints {
-    let transform = odom_from_keyframe.transform();
-    let mut pairs = Vec::new();
-    refinement.matched_points(&mut pairs);
-    for (p, q) in &mut pairs {
-        (*p, *q) = (transform.apply(*p), transform.apply(*q));
-    }
-    let points = |placed: &PlacedView| {
-        let transform = (*odom_from_keyframe * placed.reference_from_view).transform();
-        placed.view.points().map(move |p| transform.apply(p)).collect::<Vec<_>>()
-    };
-    MatchedPoints { reference: views.iter().flat_map(points).collect(), pairs }
 }

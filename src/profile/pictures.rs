@@ -185,13 +185,13 @@ fn trajectories(results: &Results) -> Result<Picture, ProfileError> {
     let mut paths = vec![true_path(&results.truth)];
     for (n, &i) in chosen.iter().enumerate() {
         let run = &results.first_runs[i];
-        let points = positions(&run.trajectory()?, &run.truth_from_odom);
+        let points = positions(&run.trajectory()?, &run.truth_from_map);
         let name = format!("{} ({:.1} mm)", case_name(&results.cases[i]), 1e3 * results.cases[i].figures.position.rmse());
         paths.push(Path { name, look: Look::line(path_colour(n), 4), points });
     }
     let scan_points: Vec<Point> = chosen.last().map_or_else(Vec::new, |&i| {
         let run = &results.first_runs[i];
-        let transform = run.truth_from_odom.transform();
+        let transform = run.truth_from_map.transform();
         run.scan_points.iter().map(|&point| transform.apply(point)).collect()
     });
     Ok(Picture {
@@ -216,7 +216,7 @@ fn aligned(results: &Results, run: &Run) -> Vec<(f64, Pose2, Pose2)> {
     let start = run.scans.first().map(|scan| scan.stamp).unwrap_or_default();
     let aligned = run.scans.iter().filter_map(|scan| {
         let truth = results.truth.interpolated(scan.stamp).filter(|_| scan.error.is_some())?;
-        Some((scan.stamp.seconds_since(start), run.truth_from_odom * scan.odom_from_base, truth))
+        Some((scan.stamp.seconds_since(start), run.truth_from_map * scan.map_from_base, truth))
     });
     aligned.collect()
 }

@@ -45,7 +45,7 @@ pub struct ScanRecord {
     /// The scan's stamp.
     pub stamp: Stamp,
     /// The pose answered.
-    pub odom_from_base: Pose2,
+    pub map_from_base: Pose2,
     /// Whether it is by a match (or the first one), not a prediction for want of one.
     pub matched: bool,
     /// From the scan's arrival to its answer, us; `None` where the particle filter passed it over.
@@ -66,7 +66,7 @@ pub struct Run {
     /// Every scan, in order.
     pub scans: Vec<ScanRecord>,
     /// The alignment of the errors: that of the ATE.
-    pub truth_from_odom: Pose2,
+    pub truth_from_map: Pose2,
     /// Drift per metre of the true path, root mean square: m and rad. `None` on paths of less than a metre.
     pub drift: Option<(f64, f64)>,
     /// The mean residual before each iteration, m, of a sample of the matches.
@@ -122,9 +122,9 @@ fn localize_run(
 
 /// The record of a scan that was of use, or was passed over.
 fn localized(answer: &Answer) -> Option<ScanRecord> {
-    let record = |stamp, odom_from_base| ScanRecord {
+    let record = |stamp, map_from_base| ScanRecord {
         stamp,
-        odom_from_base,
+        map_from_base,
         matched: true,
         delay_us: None,
         iterations: 0,
@@ -180,7 +180,7 @@ fn record(estimate: &Estimate, iterations: &[IterationTrace]) -> ScanRecord {
     let registration = &estimate.registration;
     ScanRecord {
         stamp: estimate.stamp,
-        odom_from_base: registration.odom_from_base,
+        map_from_base: registration.map_from_base(),
         matched: registration.outcome.is_ok(),
         delay_us: Some(microseconds(estimate.elapsed)),
         iterations: registration.refinement.map_or(0, |r| r.iterations),
@@ -193,7 +193,7 @@ fn record(estimate: &Estimate, iterations: &[IterationTrace]) -> ScanRecord {
 impl Run {
     /// The trajectory answered.
     pub fn trajectory(&self) -> Result<Trajectory, ProfileError> {
-        let poses = self.scans.iter().map(|scan| StampedPose { stamp: scan.stamp, pose: scan.odom_from_base });
+        let poses = self.scans.iter().map(|scan| StampedPose { stamp: scan.stamp, pose: scan.map_from_base });
         Ok(Trajectory::new(poses.collect())?)
     }
 
@@ -205,10 +205,10 @@ impl Run {
             matched.binary_search_by_key(&stamp, |m| m.stamp).ok().and_then(|i| matched.get(i))
         };
         for scan in &mut self.scans {
-            let pair = truth_of(scan.stamp).map(|m| MatchedPose { estimate: scan.odom_from_base, ..*m });
+            let pair = truth_of(scan.stamp).map(|m| MatchedPose { estimate: scan.map_from_base, ..*m });
             scan.error = pair.map(|pair| ate.error(&pair));
         }
-        self.truth_from_odom = ate.truth_from_estimate;
+        self.truth_from_map = ate.truth_from_estimate;
         self.drift = rpe(&matched, 1.0).map(|drift| (drift.trans_m.rmse, drift.rot_deg.rmse.to_radians()));
         Ok(())
     }

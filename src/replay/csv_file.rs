@@ -11,7 +11,7 @@ pub struct CsvFile<W: Write> {
     writer: csv::Writer<W>,
 }
 
-const HEADER: [&str; 25] = [
+const HEADER: [&str; 26] = [
     "stamp",
     "x_m",
     "y_m",
@@ -25,6 +25,7 @@ const HEADER: [&str; 25] = [
     "inliers",
     "mean_residual_m",
     "condition_number",
+    "free_direction_rad",
     "predicted_translation_error_m",
     "predicted_rotation_error_rad",
     "translation_error_m",
@@ -50,14 +51,14 @@ impl<W: Write> CsvFile<W> {
     /// Writes the line of one scan.
     pub fn write(&mut self, estimate: &Estimate) -> csv::Result<()> {
         let registration = &estimate.registration;
-        let pose = &registration.odom_from_base;
+        let pose = registration.map_from_base();
         let (outcome, problem) = match &registration.outcome {
             Outcome::Matched => ("matched", ""),
             Outcome::First => ("first", ""),
             Outcome::Predicted(problem) => ("predicted", problem.as_str()),
         };
         let of_match = registration.refinement.map_or_else(
-            || vec![String::new(); 8],
+            || vec![String::new(); 9],
             |r| {
                 vec![
                     r.stop_reason.name().into(),
@@ -68,6 +69,7 @@ impl<W: Write> CsvFile<W> {
                     r.inliers.to_string(),
                     format!("{:.6}", r.mean_residual),
                     format!("{:.3}", r.condition_number),
+                    r.free_direction.map_or_else(String::new, |direction| format!("{direction:.6}")),
                 ]
             },
         );

@@ -31,7 +31,7 @@ impl MapSketch {
         if !self.keyframes.is_multiple_of(self.every.max(1)) {
             return;
         }
-        let transform = (estimate.registration.odom_from_base * mount.base_from_laser).transform();
+        let transform = (estimate.registration.map_from_base() * mount.base_from_laser).transform();
         let stride = scan.valid_len().div_ceil(POINTS_PER_SCAN).max(1);
         self.points.extend(scan.rays().step_by(stride).map(|(_, direction, range)| transform.apply(direction * range)));
         if self.points.len() > MAX_POINTS {

@@ -79,7 +79,7 @@ impl Summary {
     /// Takes an estimate; answers its pose.
     pub fn add(&mut self, estimate: &Estimate) -> StampedPose {
         let registration = &estimate.registration;
-        let pose = StampedPose { stamp: estimate.stamp, pose: registration.odom_from_base };
+        let pose = StampedPose { stamp: estimate.stamp, pose: registration.map_from_base() };
         self.poses.push(pose);
         self.elapsed.push(estimate.elapsed);
         self.iterations += registration.refinement.map_or(0, |r| u64::from(r.iterations));
@@ -135,6 +135,7 @@ impl Summary {
             "path_length_m": self.path_length(),
             "mean_iterations": self.mean_iterations(),
             "keyframes": ending.counters.keyframes,
+            "closed_loops": ending.counters.closed_loops,
             "time_us": {"p50": p50, "p99": p99, "max": max},
             "deadline": {
                 "budget_us": self.budgets.filter(|(shortest, longest)| shortest == longest).map(|(budget, _)| microseconds(budget)),
@@ -165,6 +166,7 @@ impl Summary {
         }
         table.add_row(["path", &format!("{:.2} m", self.path_length())]);
         table.add_row(["keyframes", &ending.counters.keyframes.to_string()]);
+        table.add_row(["places recognised", &ending.counters.closed_loops.to_string()]);
         table.add_row(["iterations per scan", &format!("{:.1}", self.mean_iterations())]);
         table.add_row(["time per scan", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
         if let Some((shortest, longest)) = self.budgets {

@@ -13,7 +13,7 @@ use crate::app::Estimate;
 use crate::config::FrameKnobs;
 use crate::geometry::{Point, Pose2};
 use crate::io::profile_file::ExpectedError;
-use crate::odometry::{MatchedPoints, Outcome};
+use crate::odometry::{MatchedPoints, OdometryCounters, Outcome, Registration};
 
 /// One estimate on its way out.
 pub(super) struct Answer<'a> {
@@ -24,30 +24,46 @@ pub(super) struct Answer<'a> {
 }
 
 impl Answer<'_> {
-    pub(super) fn header(&self) -> Header {
-        header(self.number, self.estimate.stamp, &self.frames.odom_frame)
+    fn header(&self, frame: &str) -> Header {
+        header(self.number, self.estimate.stamp, frame)
     }
 
+    /// Of what is on the map.
+    pub(super) fn map_header(&self) -> Header {
+        self.header(&self.frames.map_frame)
+    }
+
+    /// Of what never jumps.
+    pub(super) fn odom_header(&self) -> Header {
+        self.header(&self.frames.odom_frame)
+    }
+
+    /// Where the base is on the map.
     pub(super) fn pose_stamped(&self) -> PoseStamped {
-        PoseStamped { header: self.header(), pose: pose(&self.estimate.registration.odom_from_base) }
+        PoseStamped { header: self.map_header(), pose: pose(&self.estimate.registration.map_from_base()) }
     }
 
     pub(super) fn odometry(&self) -> Odometry {
         let answer = &self.estimate.registration;
         Odometry {
-            header: self.header(),
+            header: self.odom_header(),
             child_frame_id: self.frames.base_frame.clone(),
             pose: PoseWithCovariance { pose: pose(&answer.odom_from_base), covariance: covariance(&answer.covariance) },
             twist: TwistWithCovariance { twist: twist(&answer.twist), covariance: covariance(&answer.twist_covariance) },
         }
     }
 
-    pub(super) fn transform(&self) -> TransformStamped {
-        transform(self.header(), &self.frames.base_frame, &self.estimate.registration.odom_from_base)
+    /// From the map by way of the odometry to the base.
+    pub(super) fn transforms(&self) -> [TransformStamped; 2] {
+        let Registration { map_from_odom, odom_from_base, .. } = &self.estimate.registration;
+        [
+            transform(self.map_header(), &self.frames.odom_frame, map_from_odom),
+            transform(self.odom_header(), &self.frames.base_frame, odom_from_base),
+        ]
     }
 
     /// What there is to say of the estimate; numbers of a refinement that was not made are NaN.
-    pub(super) fn report(&self, keyframes: u64, dropped: u64) -> MatchReport {
+    pub(super) fn report(&self, counters: &OdometryCounters, dropped: u64) -> MatchReport {
         let (estimate, answer) = (self.estimate, &self.estimate.registration);
         let refinement = answer.refinement.as_ref();
         let number = |value: fn(&_) -> f64| refinement.map_or(f64::NAN, value);
@@ -60,7 +76,7 @@ impl Answer<'_> {
             Outcome::Predicted(problem) => (MatchReport::PREDICTED, problem.clone()),
         };
         MatchReport {
-            header: self.header(),
+            header: self.odom_header(),
             outcome,
             ok: answer.outcome.is_ok(),
             stop_reason: refinement.map_or_else(String::new, |r| r.stop_reason.name().into()),
@@ -89,8 +105,10 @@ impl Answer<'_> {
             translation_error: answer.estimated_error.translation,
             rotation_error: answer.estimated_error.rotation,
             condition_number: number(|r| r.condition_number),
+            free_direction: number(|r| r.free_direction.unwrap_or(f64::NAN)),
             new_keyframe: answer.new_keyframe,
-            keyframes: u32::try_from(keyframes).unwrap_or(u32::MAX),
+            keyframes: u32::try_from(counters.keyframes).unwrap_or(u32::MAX),
+            closed_loops: u32::try_from(counters.closed_loops).unwrap_or(u32::MAX),
             dropped: u32::try_from(dropped).unwrap_or(u32::MAX),
         }
     }
@@ -108,7 +126,7 @@ impl Answer<'_> {
 
     fn marker(&self, id: i32, kind: u8, size: f64, [r, g, b]: [f32; 3], points: Vec<PointMessage>) -> Marker {
         Marker {
-            header: self.header(),
+            header: self.map_header(),
             ns: "scan_match".into(),
             id,
             type_: i32::from(kind),

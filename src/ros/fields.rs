@@ -22,14 +22,11 @@ pub(super) fn pose(pose: &Pose2) -> Pose {
     Pose { position: Point { x: pose.x, y: pose.y, z: 0.0 }, orientation: Quaternion { x: 0.0, y: 0.0, z, w } }
 }
 
-/// From the frame of the header to `child`.
-pub(super) fn transform(header: Header, child: &str, place: &Pose2) -> TransformStamped {
-    let Pose { position, orientation } = pose(place);
-    TransformStamped {
-        header,
-        child_frame_id: child.into(),
-        transform: Transform { translation: Vector3 { x: position.x, y: position.y, z: 0.0 }, rotation: orientation },
-    }
+/// Where `child` is, in the frame of the header.
+pub(super) fn transform(header: Header, child: &str, parent_from_child: &Pose2) -> TransformStamped {
+    let Pose { position, orientation } = pose(parent_from_child);
+    let translation = Vector3 { x: position.x, y: position.y, z: position.z };
+    TransformStamped { header, child_frame_id: child.into(), transform: Transform { translation, rotation: orientation } }
 }
 
 pub(super) fn twist(twist: &Twist2) -> Twist {

@@ -10,19 +10,24 @@ use crate::config::Config;
 use crate::knobs::Value;
 
 /// What can be changed while the node runs.
-const LIVE: [&str; 5] = [
+const LIVE: [&str; 6] = [
     "contract.time_budget",
     "contract.translation_error_bound",
     "contract.rotation_error_bound",
     "matching.max_iterations",
     "publish_tf",
+    "publish_map_tf",
 ];
 
 /// A change that takes effect at once.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) enum Change {
     Matching(MatchingChange),
-    PublishTransform(bool),
+    /// Whether to say where `child` is.
+    PublishTransform {
+        child: String,
+        on: bool,
+    },
 }
 
 /// A change for the matching thread, in force from the next scan on.
@@ -81,8 +86,10 @@ impl<'a> ParameterWatch<'a> {
         if !LIVE.contains(&path) {
             return Some(Err(format!("it takes effect when the node is started again; at once do: {}", LIVE.join(", "))));
         }
+        let transform = |child: &String, on| Change::PublishTransform { child: child.clone(), on };
         let change = match path {
-            "publish_tf" => Change::PublishTransform(config.frames.publish_tf),
+            "publish_tf" => transform(&config.frames.base_frame, config.frames.publish_tf),
+            "publish_map_tf" => transform(&config.frames.odom_frame, config.frames.publish_map_tf),
             "matching.max_iterations" => Change::Matching(MatchingChange::MaxIterations(config.matching.max_iterations)),
             _ => match Contract::try_from(&config.contract) {
                 Ok(contract) => Change::Matching(MatchingChange::Contract(contract)),
@@ -135,9 +142,10 @@ mod tests {
         let changes = look(json!({"contract": {"time_budget": 0.007}}));
         let [(name, Ok(Change::Matching(MatchingChange::Contract(contract))))] = &changes[..] else { panic!("{changes:?}") };
         assert_eq!((name.as_str(), contract.time_budget), ("contract.time_budget = 0.007", Some(Duration::from_millis(7))));
-        let changes = look(json!({"publish_tf": false, "matching": {"max_iterations": 3}}));
+        let changes = look(json!({"publish_tf": false, "publish_map_tf": false, "matching": {"max_iterations": 3}}));
         let changes: Vec<Change> = changes.into_iter().map(|(_, change)| change.unwrap()).collect();
-        assert_eq!(changes, [Change::Matching(MatchingChange::MaxIterations(3)), Change::PublishTransform(false)]);
+        let silent = |child: &str| Change::PublishTransform { child: child.into(), on: false };
+        assert_eq!(changes, [Change::Matching(MatchingChange::MaxIterations(3)), silent("odom"), silent("base_link")]);
         for (tree, remedy) in [
             (json!({"matching": {"solver": "point_to_line"}}), "started again"),
             (json!({"matching": {"max_iterations": 0}}), "expected 1 to 1000"),

@@ -16,9 +16,11 @@ use super::publishers::Publishers;
 use super::reader::Reader;
 use super::services::Reply;
 use super::subscriptions::Input;
+use super::transform_output::Rival;
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Interrupt;
 use crate::app::{App, Estimate, MountSource};
+use crate::config::FrameKnobs;
 use crate::messages::geometry_msgs::TwistStamped;
 use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::tf2_msgs::TFMessage;
@@ -172,10 +174,18 @@ impl Matcher {
     }
 
     fn give_way(&self, message: &TFMessage, sender: &str) {
-        let base_frame = &self.app.config().frames.base_frame;
-        if let Some(warning) = self.publishers.transform().give_way(message, sender, base_frame) {
-            self.log.warn(&warning);
-            self.monitor.set_condition(TRANSFORM_WITHHELD, true);
+        let FrameKnobs { odom_frame, base_frame, .. } = &self.app.config().frames;
+        let of_odom = Rival::find(message, sender, odom_frame);
+        let of_base = Rival::find(message, sender, base_frame);
+        // Another odometry in our frame: then it is not ours to say where that is.
+        let odometry = of_base.as_ref().filter(|rival| rival.is_from(odom_frame));
+        let conflicts = [(&of_base, base_frame), (&of_odom, odom_frame)];
+        let conflicts = conflicts.into_iter().filter_map(|(rival, child)| Some((rival.as_ref()?, child)));
+        for (rival, child) in conflicts.chain(odometry.map(|rival| (rival, odom_frame))) {
+            if let Some(warning) = self.publishers.transform().give_way(rival, child) {
+                self.log.warn(&warning);
+                self.monitor.set_condition(TRANSFORM_WITHHELD, true);
+            }
         }
     }
 
@@ -212,7 +222,7 @@ impl Matcher {
     fn publish_details(&mut self, estimate: &Estimate, number: u32) {
         let (now, frames) = (self.clock.now(), &self.app.config().frames);
         let answer = Answer { estimate, number, frames };
-        self.publishers.publish_details(&answer, self.app.odometry_counters().keyframes, self.mailbox.dropped().scans);
+        self.publishers.publish_details(&answer, self.app.odometry_counters(), self.mailbox.dropped().scans);
         self.publishers.publish_display(&answer, self.app.matched_points(), now);
     }
 

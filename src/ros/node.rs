@@ -22,7 +22,7 @@ use super::{NodeError, params, services, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
 use crate::app::App;
-use crate::config::Config;
+use crate::config::{Config, FrameKnobs};
 
 const NAME: &str = "scan_matcher";
 /// The service that starts again, and what it answers.
@@ -52,7 +52,8 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal, config: &Config, face: &
         log.warn(&format!("these parameters mean nothing here and are ignored: {}", face.ignored.join(", ")));
     }
     let transform = Arc::new(TransformOutput::default());
-    transform.switch(ros, config.frames.publish_tf)?;
+    transform.switch(ros, &config.frames.base_frame, config.frames.publish_tf)?;
+    transform.switch(ros, &config.frames.odom_frame, config.frames.publish_map_tf)?;
     let parts = start(ros, config, face, &log, &transform)?;
     let mut changes = Changes {
         watch: ParameterWatch::new(master, ros.name(), config)?,
@@ -124,8 +125,8 @@ impl Changes<'_> {
     fn apply(&self, change: Change, master: &mut MasterLink) -> Result<(), String> {
         match change {
             Change::Matching(change) => self.mailbox.put_event(Event::Change(change)),
-            Change::PublishTransform(on) => {
-                self.transform.switch(self.ros, on).map_err(|error| error.to_string())?;
+            Change::PublishTransform { child, on } => {
+                self.transform.switch(self.ros, &child, on).map_err(|error| error.to_string())?;
                 self.transform.role().into_iter().for_each(|role| master.add(role));
             }
         }
@@ -140,16 +141,27 @@ fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
         [if config.cloud.input { "cloud" } else { "scan" }, "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
     let frames = &config.frames;
     log.info(&format!(
-        "matches {} with {} to {} ({} -> {}{}), {}",
+        "matches {} with {} to {} ({} -> {}; {}), {}",
         scan?,
         odometry?,
         pose?,
-        frames.odom_frame,
+        frames.map_frame,
         frames.base_frame,
-        if frames.publish_tf { ", also on /tf" } else { "" },
+        transforms(frames),
         describe(&contract),
     ));
     Ok(())
+}
+
+/// What is said on `/tf`, in words.
+fn transforms(frames: &FrameKnobs) -> String {
+    let [map, odom, base] = [&frames.map_frame, &frames.odom_frame, &frames.base_frame];
+    match (frames.publish_map_tf, frames.publish_tf) {
+        (true, true) => format!("{map} -> {odom} -> {base} on /tf"),
+        (true, false) => format!("{map} -> {odom} on /tf"),
+        (false, true) => format!("{odom} -> {base} on /tf"),
+        (false, false) => "nothing on /tf".into(),
+    }
 }
 
 /// A contract in words.

@@ -10,7 +10,6 @@ use rosrust_msg::anytime_scan_matcher::MatchReport;
 use rosrust_msg::geometry_msgs::PoseStamped;
 use rosrust_msg::nav_msgs::{Odometry, Path};
 use rosrust_msg::std_msgs::Int32;
-use rosrust_msg::tf2_msgs::TFMessage;
 use rosrust_msg::visualization_msgs::Marker;
 
 use super::NodeError;
@@ -19,7 +18,7 @@ use super::convert::Answer;
 use super::master::Role;
 use super::path::PathHistory;
 use super::transform_output::TransformOutput;
-use crate::odometry::{MatchedPoints, Outcome};
+use crate::odometry::{MatchedPoints, OdometryCounters, Outcome};
 use crate::time::Stamp;
 
 /// Messages that may wait for a subscriber: a bag played fast makes bursts of answers, and of `icp_state` every edge counts.
@@ -144,10 +143,10 @@ impl Publishers {
     }
 
     /// Everything else. The counts go into the report.
-    pub(super) fn publish_details(&mut self, answer: &Answer, keyframes: u64, dropped: u64) {
+    pub(super) fn publish_details(&mut self, answer: &Answer, counters: &OdometryCounters, dropped: u64) {
         self.publish_transform(answer);
         self.odometry.send(|| answer.odometry());
-        self.report.send(|| answer.report(keyframes, dropped));
+        self.report.send(|| answer.report(counters, dropped));
     }
 
     /// tf does not want a stamp twice, and a transform of the past would only say what an answer out of order repeats.
@@ -155,7 +154,7 @@ impl Publishers {
         let (stamp, outcome) = (answer.estimate.stamp, &answer.estimate.registration.outcome);
         if *outcome == Outcome::First || self.last_transform.is_none_or(|last| stamp > last) {
             self.last_transform = Some(stamp);
-            self.transform.send(|| TFMessage { transforms: vec![answer.transform()] });
+            self.transform.send(|| answer.transforms());
         }
     }
 
@@ -165,11 +164,11 @@ impl Publishers {
         if registration.outcome == Outcome::First {
             self.history.clear();
         }
-        self.history.add(&registration.odom_from_base, || answer.pose_stamped());
+        self.history.add(&registration.map_from_base(), || answer.pose_stamped());
         if self.path.has_listeners()
             && let Some(poses) = self.history.due(now)
         {
-            self.path.send(|| Path { header: answer.header(), poses });
+            self.path.send(|| Path { header: answer.map_header(), poses });
         }
         for marker in matched_points.into_iter().flat_map(|points| answer.markers(points)) {
             self.debug.send(|| marker);

@@ -1,8 +1,10 @@
-//! The output of transforms, which can be switched while a node runs, and gives way to another node's.
+//! The output of transforms, each of which can be switched while a node runs, and gives way to another node's.
 
+use std::collections::BTreeSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use rosrust::api::Ros;
+use rosrust_msg::geometry_msgs::TransformStamped;
 use rosrust_msg::tf2_msgs::TFMessage;
 
 use super::NodeError;
@@ -11,46 +13,91 @@ use super::publishers::Output;
 use crate::messages::tf2_msgs as messages;
 use crate::transforms::frame_name;
 
-/// `/tf`, while it is on.
+/// Another node's transform.
+pub(super) struct Rival<'a> {
+    sender: &'a str,
+    parent: &'a str,
+    child: &'a str,
+}
+
+impl<'a> Rival<'a> {
+    /// The transform that says where `child` is, if the message has one.
+    pub(super) fn find(message: &'a messages::TFMessage, sender: &'a str, child: &'a str) -> Option<Self> {
+        let child = frame_name(child);
+        let transform = message.transforms.iter().find(|transform| frame_name(&transform.child_frame_id) == child)?;
+        Some(Self { sender, parent: frame_name(&transform.header.frame_id), child })
+    }
+
+    /// Whether it is given in this frame.
+    pub(super) fn is_from(&self, frame: &str) -> bool {
+        self.parent == frame_name(frame)
+    }
+}
+
+/// `/tf`, while there is something to say there.
 #[derive(Default)]
-pub(super) struct TransformOutput(Mutex<Option<Output<TFMessage>>>);
+pub(super) struct TransformOutput(Mutex<State>);
+
+#[derive(Default)]
+struct State {
+    output: Option<Output<TFMessage>>,
+    /// The frames whose places are said.
+    children: BTreeSet<String>,
+}
 
 impl TransformOutput {
-    /// On or off; as it is off, other nodes do not see this one among the publishers.
-    pub(super) fn switch(&self, ros: &Ros, on: bool) -> Result<(), NodeError> {
-        let mut output = self.lock();
-        if on != output.is_some() {
-            *output = if on { Some(Output::new(ros, "/tf")?) } else { None };
+    /// Whether to say where `child` is. As nothing is said any more, other nodes do not see this one among the publishers.
+    pub(super) fn switch(&self, ros: &Ros, child: &str, on: bool) -> Result<(), NodeError> {
+        let mut state = self.lock();
+        if on {
+            state.children.insert(frame_name(child).into());
+            if state.output.is_none() {
+                state.output = Some(Output::new(ros, "/tf")?);
+            }
+        } else {
+            state.remove(child);
         }
         Ok(())
     }
 
-    /// A frame has one parent. Who else publishes one for `child` was there first, or knows better, as a simulator does: then the
-    /// publication ends, if there was any, and this is what to say of it.
-    pub(super) fn give_way(&self, message: &messages::TFMessage, sender: &str, child: &str) -> Option<String> {
-        let child = frame_name(child);
-        let rival = message.transforms.iter().find(|transform| frame_name(&transform.child_frame_id) == child)?;
-        self.lock().take()?;
-        Some(format!(
-            "{sender} publishes the transform {} -> {child}: this node's own is held back from now on, as a frame has one parent \
-             (parameter publish_tf)",
-            rival.header.frame_id,
-        ))
+    /// A frame has one parent. Who else publishes one was there first, or knows better, as a simulator does: then the place of `child`
+    /// is said no more, if it was, and this is what to tell of it.
+    pub(super) fn give_way(&self, rival: &Rival, child: &str) -> Option<String> {
+        let Rival { sender, parent, child: rival } = rival;
+        self.lock().remove(child).then(|| {
+            format!(
+                "{sender} publishes the transform {parent} -> {rival}: this node's own to {child} is held back from now on, as a frame \
+                 has one parent (parameters publish_tf, publish_map_tf)",
+            )
+        })
     }
 
-    /// Hands a message over, if it is on.
-    pub(super) fn send(&self, message: impl FnOnce() -> TFMessage) {
-        if let Some(output) = self.lock().as_ref() {
-            output.send(message);
+    /// Hands over those transforms that are on.
+    pub(super) fn send<const N: usize>(&self, transforms: impl FnOnce() -> [TransformStamped; N]) {
+        let State { output, children } = &*self.lock();
+        let is_on = |transform: &TransformStamped| children.contains(frame_name(&transform.child_frame_id));
+        if let Some(output) = output {
+            output.send(|| TFMessage { transforms: transforms().into_iter().filter(is_on).collect() });
         }
     }
 
     /// How it stands in the master's books.
     pub(super) fn role(&self) -> Option<Role> {
-        self.lock().as_ref().map(Output::role)
+        self.lock().output.as_ref().map(Output::role)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Option<Output<TFMessage>>> {
+    fn lock(&self) -> MutexGuard<'_, State> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    /// Whether it was there.
+    fn remove(&mut self, child: &str) -> bool {
+        let was_there = self.children.remove(frame_name(child));
+        if self.children.is_empty() {
+            self.output = None;
+        }
+        was_there
     }
 }

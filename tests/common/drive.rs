@@ -130,7 +130,7 @@ pub fn offline(path: &Path) -> HashMap<Stamp, Pose2> {
             app.on_odometry(&message.decode().unwrap()).unwrap();
         } else {
             let estimate = app.on_scan(&message.decode().unwrap(), std::time::Duration::ZERO);
-            poses.insert(estimate.stamp, estimate.registration.odom_from_base);
+            poses.insert(estimate.stamp, estimate.registration.map_from_base());
         }
     }
     poses

@@ -62,7 +62,7 @@ fn soak(scans: u32, fault_every: u32) {
     let mut early: Option<Resources> = None;
     for number in 1..=scans {
         let scan = bench.next_scan();
-        let expected = undisturbed.on_scan(&scan, Duration::ZERO).registration.odom_from_base;
+        let expected = undisturbed.on_scan(&scan, Duration::ZERO).registration.map_from_base();
         let (pose, _) = bench.answer(&scan);
         let error = pose.between(&expected);
         assert!(error.distance() < 1e-9 && error.theta.abs() < 1e-9, "scan {number}: {error:?}: {}", bench.node.log());

@@ -459,11 +459,11 @@ impl Pairing for Projective {
         let open = free_direction.is_some() && self.guess.prior.is_none();
         Uncertainty {
             covariance: covariance.filter(|covariance| !open && covariance.iter().all(|v| v.is_finite())),
-            condition_number: if free_direction.is_some() {
-                f64::INFINITY
-            } else {
-                condition_number(&information, self.sensed.mean_range)
+            condition_number: match free_direction {
+                Some(_) => f64::INFINITY,
+                None => condition_number(&information, self.sensed.mean_range),
             },
+            free_direction,
         }
     }
 

@@ -162,8 +162,10 @@ fn translate(mut tree: Value, node: &str) -> Result<(Config, Face), ConfigError>
 /// Sets this node's knobs by what the others mean.
 fn adopt(theirs: &CompatKnobs, config: &mut Config, source: &str) -> Result<(), ConfigError> {
     let matching_to_points = theirs.use_point_to_line_distance == 0;
-    let settings: [(&str, Value); 8] = [
+    let settings: [(&str, Value); 10] = [
+        ("map_frame", theirs.fixed_frame.clone().into()),
         ("odom_frame", theirs.fixed_frame.clone().into()),
+        ("publish_map_tf", false.into()),
         ("cloud.input", theirs.use_cloud_input.into()),
         ("odometry.reference", "keyframe".into()),
         ("odometry.keyframe_distance", theirs.kf_dist_linear.into()),

@@ -49,7 +49,7 @@ impl PoseOutputs {
             output.send(|| answer.odometry().pose);
         }
         if let Some(output) = &self.with_covariance_stamped {
-            output.send(|| PoseWithCovarianceStamped { header: answer.header(), pose: answer.odometry().pose });
+            output.send(|| PoseWithCovarianceStamped { header: answer.odom_header(), pose: answer.odometry().pose });
         }
     }
 }

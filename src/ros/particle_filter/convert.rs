@@ -35,7 +35,7 @@ pub(super) struct Placed<'a> {
 
 impl Placed<'_> {
     fn header(&self) -> Header {
-        header(self.stamp, &self.config.localization.map_frame)
+        header(self.stamp, &self.config.frames.map_frame)
     }
 
     pub(super) fn odometry(&self) -> Odometry {
@@ -90,7 +90,7 @@ pub(super) fn particles(localizer: &Localizer, stamp: Stamp) -> PoseArray {
     let all = localizer.filter().poses();
     let step = all.len().div_ceil(SHOWN).max(1);
     let poses = all.step_by(step).map(|particle| pose(&particle)).collect();
-    PoseArray { header: header(stamp, &localizer.config().localization.map_frame), poses }
+    PoseArray { header: header(stamp, &localizer.config().frames.map_frame), poses }
 }
 
 /// What the laser of `scan` would have seen in the map.

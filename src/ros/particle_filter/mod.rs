@@ -54,7 +54,7 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError>
 fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input>, NodeError> {
     let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
     let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
-    let publishers = Publishers::new(ros, config.frames.publish_tf)?;
+    let publishers = Publishers::new(ros, &config.frames)?;
     let diagnostics = Diagnostics::new(ros, TASK)?;
     let mut roles = publishers.roles();
     roles.extend(Input::ALL.map(|input| input.topic().role()));
@@ -79,9 +79,9 @@ fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
         scan?,
         odometry?,
         pose?,
-        knobs.map_frame,
+        frames.map_frame,
         frames.base_frame,
-        if frames.publish_tf { format!(", also {} -> {} on /tf", knobs.map_frame, frames.odom_frame) } else { String::new() },
+        if frames.publish_tf { format!(", also {} -> {} on /tf", frames.map_frame, frames.odom_frame) } else { String::new() },
         knobs.particles,
         if period > 0.0 { format!("every {period} s") } else { "with every scan".into() },
         describe(&contract),

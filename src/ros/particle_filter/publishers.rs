@@ -5,10 +5,10 @@ use rosrust_msg::anytime_scan_matcher::FilterReport;
 use rosrust_msg::geometry_msgs::{PoseArray, PoseStamped};
 use rosrust_msg::nav_msgs::Odometry;
 use rosrust_msg::sensor_msgs::LaserScan as ScanMessage;
-use rosrust_msg::tf2_msgs::TFMessage;
 
 use super::convert::{Placed, fake_scan, particles, report};
 use crate::app::localizer::{Fix, Localizer};
+use crate::config::FrameKnobs;
 use crate::geometry::Pose2;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::ros::NodeError;
@@ -32,9 +32,9 @@ pub(super) struct Publishers {
 }
 
 impl Publishers {
-    pub(super) fn new(ros: &Ros, publish_tf: bool) -> Result<Self, NodeError> {
+    pub(super) fn new(ros: &Ros, frames: &FrameKnobs) -> Result<Self, NodeError> {
         let transform = TransformOutput::default();
-        transform.switch(ros, publish_tf)?;
+        transform.switch(ros, &frames.odom_frame, frames.publish_tf)?;
         Ok(Self {
             pose: Output::new(ros, POSE)?,
             report: Output::new(ros, "pf/report")?,
@@ -68,7 +68,7 @@ impl Publishers {
         self.pose.send(|| placed.odometry());
         self.inferred_pose.send(|| placed.pose_stamped());
         if let (Some(odom_from_base), true) = (odom_from_base, is_fix) {
-            self.transform.send(|| TFMessage { transforms: vec![placed.transform(&odom_from_base)] });
+            self.transform.send(|| [placed.transform(&odom_from_base)]);
         }
     }
 

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 use serde::Deserialize;
 
@@ -27,7 +28,11 @@ use crate::ros::log::Log;
 use crate::ros::mailbox::{Event, Mailbox, NextScan, Work};
 use crate::ros::priority::Urgency;
 use crate::ros::reader::Reader;
+use crate::ros::transform_output::Rival;
 use crate::transforms::TransformTree;
+
+/// Who publishes the same transform for longer than this does not give way to this node.
+const PATIENCE_WITH_RIVAL: Duration = Duration::from_secs(2);
 
 /// Conditions of this node.
 const NO_MAP: &str = "there is no map yet (parameter localization/map, or topic map)";
@@ -51,6 +56,8 @@ pub(super) struct Worker {
     monitor: Arc<Monitor>,
     log: Log,
     reader: Reader,
+    /// Since when another node says where the odometry's frame is, and when it last did.
+    rival: Option<(Duration, Duration)>,
 }
 
 impl Worker {
@@ -77,6 +84,7 @@ impl Worker {
             monitor,
             log,
             reader,
+            rival: None,
         }
     }
 
@@ -221,9 +229,17 @@ impl Worker {
         }
     }
 
-    fn give_way(&self, message: &TFMessage, sender: &str) {
+    /// To who goes on in spite of this node; a scan matcher gives way itself.
+    fn give_way(&mut self, message: &TFMessage, sender: &str) {
         let odom_frame = &self.config.frames.odom_frame;
-        if let Some(warning) = self.publishers.transform().give_way(message, sender, odom_frame) {
+        let Some(rival) = Rival::find(message, sender, odom_frame) else { return };
+        let now = self.clock.now();
+        let is_recent = |heard: Duration| now.saturating_sub(heard) <= PATIENCE_WITH_RIVAL;
+        let since = self.rival.filter(|(_, last)| is_recent(*last)).map_or(now, |(since, _)| since);
+        self.rival = Some((since, now));
+        if !is_recent(since)
+            && let Some(warning) = self.publishers.transform().give_way(&rival, odom_frame)
+        {
             self.log.warn(&warning);
             self.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
@@ -263,7 +279,7 @@ impl Worker {
         }
         localizer.conclude(&mut fix);
         urgency.set(false);
-        self.publishers.publish_report(&fix, self.mailbox.dropped().scans, &self.config.localization.map_frame);
+        self.publishers.publish_report(&fix, self.mailbox.dropped().scans, &self.config.frames.map_frame);
         localizer.maintain(&NextScan(&self.mailbox));
         if let Ok(belief) = &fix.belief {
             self.publishers.publish_display(localizer, &scan, &belief.map_from_base);

@@ -1,0 +1,80 @@
+//! A scan that is to be matched: what is known of its pose beforehand.
+
+use super::local_map::Placement;
+use super::uncertainty;
+use crate::geometry::{Pose2, PoseCovariance, Twist2};
+use crate::matching::{Prior, SearchWindow};
+use crate::time::Stamp;
+
+/// The agreement of scans varies by this from one to the next.
+const USUAL_VARIATION: f64 = 0.05;
+/// To either side of a predicted turn so much of it is searched.
+const SEARCHED_PART_OF_TURN: f64 = 1.2;
+
+/// The last answer.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Last {
+    pub(super) stamp: Stamp,
+    pub(super) map_from_base: Pose2,
+    pub(super) map_from_laser: Pose2,
+    pub(super) covariance: PoseCovariance,
+    pub(super) twist: Twist2,
+}
+
+/// A motion of the base that is expected, seen from its start.
+#[derive(Clone, Copy)]
+pub(super) struct Prediction {
+    /// The motion.
+    pub(super) motion: Pose2,
+    /// Its covariance.
+    pub(super) covariance: PoseCovariance,
+}
+
+impl Prediction {
+    /// None.
+    pub(super) const NONE: Self =
+        Self { motion: Pose2::IDENTITY, covariance: PoseCovariance::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) };
+}
+
+/// A scan to be matched.
+#[derive(Clone, Copy)]
+pub(super) struct Attempt {
+    /// The answer before.
+    pub(super) last: Last,
+    /// Motion of the base since then.
+    pub(super) prediction: Prediction,
+    /// Place of the laser on the base.
+    pub(super) base_from_laser: Pose2,
+}
+
+impl Attempt {
+    /// Covariance of the predicted pose of the laser in the keyframe's frame.
+    pub(super) fn prior(&self, keyframe: &Placement) -> Prior {
+        let none = PoseCovariance::zeros();
+        let keyframe_from_last = keyframe.map_from_laser.between(&self.last.map_from_base);
+        let Prediction { motion, covariance } = &self.prediction;
+        let keyframe_from_base = keyframe_from_last * *motion;
+        let of_base = uncertainty::compound(&keyframe_from_last, &none, motion, covariance);
+        Prior {
+            pose: keyframe_from_base * self.base_from_laser,
+            covariance: uncertainty::compound(&keyframe_from_base, &of_base, &self.base_from_laser, &none),
+        }
+    }
+
+    /// Where to search, and when: the more the robot has turned, the less is known of how far. Where scans never agree as in a room,
+    /// outdoors, less than usual is a sign.
+    pub(super) fn window(&self, usual_agreement: f64) -> SearchWindow {
+        let (turn, window) = (self.prediction.motion.theta.abs(), SearchWindow::default());
+        let less_than_usual = (usual_agreement - USUAL_VARIATION).min(window.doubtful_agreement);
+        SearchWindow {
+            angle: window.angle.max(SEARCHED_PART_OF_TURN * turn),
+            doubtful_agreement: if turn > window.angle { f64::INFINITY } else { less_than_usual },
+            ..window
+        }
+    }
+
+    /// Where the laser should be.
+    pub(super) fn predicted_laser(&self) -> Pose2 {
+        self.last.map_from_base * self.prediction.motion * self.base_from_laser
+    }
+}
