@@ -143,25 +143,38 @@ pub struct Recording {
     pub states: Vec<i32>,
     /// Stamps of the transforms from odom to `base_link`.
     pub transforms: Vec<Stamp>,
+    /// The same from map to odom.
+    pub map_transforms: Vec<Stamp>,
 }
 
 impl Recording {
     /// Of topics below this namespace ("" or "/name").
     pub fn read(path: &Path, namespace: &str) -> Self {
-        let mut recording = Self { poses: HashMap::new(), reports: Vec::new(), states: Vec::new(), transforms: Vec::new() };
+        let mut recording = Self {
+            poses: HashMap::new(),
+            reports: Vec::new(),
+            states: Vec::new(),
+            transforms: Vec::new(),
+            map_transforms: Vec::new(),
+        };
         for message in Bag::open(path).unwrap().messages(None) {
             let message = message.unwrap();
             match message.connection.topic.strip_prefix(namespace).unwrap_or(&message.connection.topic) {
                 "/scan_match_location" => {
                     let pose: PoseStamped = message.decode().unwrap();
+                    assert_eq!(pose.header.frame_id, "map");
                     recording.poses.insert(pose.header.stamp.into(), planar_pose(&pose.pose).unwrap());
                 }
                 "/icp_report" => recording.reports.push(MatchReport::decode(&message.data[..]).unwrap()),
                 "/icp_state" => recording.states.push(i32::decode(&message.data[..]).unwrap()),
                 "/tf" => {
                     let tf: TFMessage = message.decode().unwrap();
-                    let own = tf.transforms.iter().filter(|t| t.header.frame_id == "odom" && t.child_frame_id == "base_link");
-                    recording.transforms.extend(own.map(|t| Stamp::from(t.header.stamp)));
+                    let stamps = |parent: &'static str, child: &'static str| {
+                        let own = tf.transforms.iter().filter(move |t| t.header.frame_id == parent && t.child_frame_id == child);
+                        own.map(|t| Stamp::from(t.header.stamp))
+                    };
+                    recording.transforms.extend(stamps("odom", "base_link"));
+                    recording.map_transforms.extend(stamps("map", "odom"));
                 }
                 _ => {}
             }

@@ -55,6 +55,7 @@ fn live_poses_are_those_of_the_offline_application() {
     recording.check_consistency();
     recording.check_accounts(160);
     assert_eq!(recording.transforms.len(), recording.reports.len());
+    assert_eq!(recording.map_transforms, recording.transforms, "from the map by way of the odometry to the base");
     assert!(recording.reports.iter().all(|report| report.ok), "every scan can be matched");
     // A scan that was dropped is no disaster, but then the matches differ a little.
     let tolerance = if recording.reports.len() == 160 { 1e-12 } else { 0.01 };
@@ -278,6 +279,10 @@ fn initial_pose_reset_and_a_second_parent_of_the_base() {
     near(reset, 0.0, 0.0);
     assert!(recording.transforms.iter().all(|stamp| stamp.seconds_since(at(0.0)) < 2.2), "one parent must do");
     assert!(recording.transforms.len() > 20);
+    assert!(
+        recording.map_transforms.last().unwrap().seconds_since(at(0.0)) > 3.0,
+        "nobody else gives the odometry's frame a parent"
+    );
     assert_eq!(node.log().matches("held back").count(), 1);
 }
 
@@ -289,7 +294,7 @@ fn parameters_come_from_a_file_and_mistakes_end_the_node() {
     let config = format!("_config:={}", yaml.display());
     graph
         .node(&[&config, "_odom_frame:=world", "_matching/max_correspondence_distance:=1"])
-        .expect_log("(world -> car, also on /tf), within 1s");
+        .expect_log("(map -> car; map -> world -> car on /tf), within 1s");
     graph.output("rosparam", &["delete", "/scan_matcher"]);
     for (argument, remedy) in [
         ("_matching/max_iteration:=9", "did you mean 'matching.max_iterations'?"),
@@ -313,7 +318,8 @@ fn the_launch_file_starts_the_release_build_with_its_arguments() {
     let Some(graph) = Graph::start() else { return };
     let arguments = ["scan:=/front/scan", "time_budget:=5ms", "base_frame:=car", "laser_in_base:=[1, 0, 0]"];
     let mut launch = graph.launch("scan_matcher.launch", &arguments);
-    launch.expect_log("matches /front/scan with /odom to /scan_match_location (odom -> car, also on /tf), within 5ms");
+    launch
+        .expect_log("matches /front/scan with /odom to /scan_match_location (map -> car; map -> odom -> car on /tf), within 5ms");
     launch.signal("INT");
     assert!(launch.exit_code(PATIENCE).is_some());
     for arguments in [
