@@ -1,6 +1,7 @@
 //! The matcher beside a racecar simulator with `racecar_simulator`'s face: one that publishes the truth, and teleports.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
@@ -17,12 +18,14 @@ use rosrust::RosMsg as _;
 use rosrust_msg::anytime_scan_matcher::MatchReport;
 
 use crate::drive::pose_message;
-use crate::graph::{Graph, PATIENCE, Process};
+use crate::graph::{Graph, PATIENCE, Process, eventually};
 use crate::wire::say;
 
 /// Where the simulator is told to put the car: far from where it drives at that time.
 const CARRIED_TO: [Pose2; 2] = [Pose2 { x: 0.0, y: 6.1, theta: 3.1 }, Pose2 { x: 11.4, y: 0.0, theta: 1.57 }];
 
+/// A recording of this size has scans in it, bytes.
+const RECORDED: u64 = 500_000;
 /// Over a longer time than this without scans, and without odometry, a matcher in a corridor cannot know how far the car went, s.
 const LONGEST_BLIND: f64 = 0.25;
 
@@ -108,6 +111,9 @@ fn drive(graph: &Graph, use_odom: &str) -> Drive {
     launch.expect_log("simulates a racecar in corridor");
     launch.expect_log("by tf");
     let recorder = graph.record(&["/scan", "/odom", "/scan_match_location", "/icp_report", "/tf"]);
+    // It begins when its links have come about.
+    let recording = graph.dir.path().join("recorded.bag.active");
+    assert!(eventually(|| fs::metadata(&recording).is_ok_and(|file| file.len() > RECORDED)), "{}", recorder.log());
     wait(4.0);
     let mut told = PoseWithCovarianceStamped::default();
     told.pose.pose = pose_message(CARRIED_TO[0]);
@@ -156,8 +162,8 @@ fn poses_are_the_truth_beside_a_simulator_that_teleports() {
         );
         assert_eq!(failed, 0);
         let parent = |child: &str| drive.parents[child].iter().map(String::as_str).collect::<Vec<_>>();
-        assert_eq!((parent("base_link"), parent("laser")), (vec!["map"], vec!["base_link"]));
-        assert_eq!(drive.parents.len(), 2);
+        assert_eq!((parent("base_link"), parent("laser"), parent("icp_odom")), (vec!["map"], vec!["base_link"], vec!["map"]));
+        assert_eq!(drive.parents.len(), 3);
         let scan = &drive.scans[0];
         assert_eq!((scan.ranges.len(), scan.scan_time.to_bits(), scan.time_increment.to_bits()), (1080, 0, 0));
     }
