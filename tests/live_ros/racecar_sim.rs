@@ -150,7 +150,8 @@ fn poses_are_the_truth_beside_a_simulator_that_teleports() {
         let failed =
             drive.failed.range(start..told.offset_by(-settle)).count() + drive.failed.range(untold.offset_by(settle)..).count();
         eprintln!(
-            "{use_odom}: off by {:.1} mm, {:.1} mm after /initialpose ({:.1} mm by when it was heard), {:.1} mm after /pose, {failed} failed",
+            "{use_odom}: off by {:.1} mm, {:.1} mm after /initialpose ({:.1} mm by when it was heard), {:.1} mm after /pose, {failed} failed, at \
+             most {gap:.2} s without an answer",
             1e3 * before,
             1e3 * after_told,
             1e3 * heard_apart,
