@@ -1,18 +1,20 @@
-//! Instructions of one match, counted by callgrind: figures that no other program spoils. They are held against those in
-//! `benches/instructions.csv`; `UPDATE_GOLDEN=1` renews these.
+//! Instructions of one match, counted by callgrind: figures that no other program spoils. `cargo test --bench instructions` holds those
+//! of the tests' profile, and `cargo bench --bench instructions` those of the release, against the file kept in `benches/instructions/`,
+//! where that was written with the same compiler for the same instruction set; `UPDATE_GOLDEN=1` renews it.
 #![allow(missing_docs, clippy::panic, clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
 
 mod walk;
 
 use std::fmt::Write;
 use std::hint::black_box;
-use std::path::Path;
-use std::process::{Command, ExitCode};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Output};
 use std::{env, fs};
 
 use anytime_scan_matcher::matching::correspondence::Correspondence;
 use anytime_scan_matcher::matching::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
+use fearless_simd::Level;
 use walk::{LASERS, Laser, Pair, match_pair, walk};
 
 /// Matches that each figure is the mean of.
@@ -21,6 +23,8 @@ const MATCHES: u32 = 20;
 const TOLERANCE: f64 = 0.03;
 /// First argument of the runs that are counted.
 const COUNTED: &str = "--counted";
+/// Argument of the run that says for which instruction set the matcher chooses its code.
+const LEVEL: &str = "--level";
 const STAGES: [&str; 3] = ["view", "projective", "jump_table"];
 
 fn main() -> ExitCode {
@@ -28,6 +32,10 @@ fn main() -> ExitCode {
     match arguments.as_slice() {
         [first, stage, beams] if first == COUNTED => {
             run(stage, beams.parse().unwrap());
+            ExitCode::SUCCESS
+        }
+        [only] if only == LEVEL => {
+            println!("{:?}", Level::new());
             ExitCode::SUCCESS
         }
         _ => check(),
@@ -55,14 +63,29 @@ fn counted(stage: &str, matcher: &mut Matcher, pair: &Pair) {
     }
 }
 
+/// Runs this program on valgrind's processor.
+fn valgrind(tool: &[&str], arguments: &[&str]) -> Output {
+    Command::new("valgrind").args(tool).arg(env::current_exe().unwrap()).args(arguments).output().unwrap()
+}
+
+/// The file of this profile: cargo has a folder for each, and programs in `deps` in it.
+fn file() -> PathBuf {
+    let program = env::current_exe().unwrap();
+    let profile = program.ancestors().nth(2).and_then(Path::file_name).unwrap();
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/instructions").join(profile).with_extension("csv")
+}
+
+/// What the figures hang on beside code and profile: instruction set and compiler.
+fn circumstances() -> String {
+    let level = String::from_utf8(valgrind(&["--tool=none"], &[LEVEL]).stdout).unwrap();
+    let compiler = String::from_utf8(Command::new("rustc").arg("--version").output().unwrap().stdout).unwrap();
+    format!("# {}, {}", level.split('(').next().unwrap().trim(), compiler.trim())
+}
+
 /// Instructions of one match.
 fn count(stage: &str, beams: usize) -> f64 {
-    let output = Command::new("valgrind")
-        .args(["--tool=callgrind", "--callgrind-out-file=/dev/null", "--toggle-collect=*counted*"])
-        .arg(env::current_exe().unwrap())
-        .args([COUNTED, stage, &beams.to_string()])
-        .output()
-        .unwrap();
+    let tool = ["--tool=callgrind", "--callgrind-out-file=/dev/null", "--toggle-collect=*counted*"];
+    let output = valgrind(&tool, &[COUNTED, stage, &beams.to_string()]);
     let log = String::from_utf8_lossy(&output.stderr);
     let total = log.lines().find_map(|line| line.split("Collected :").nth(1)).unwrap_or_else(|| panic!("no count: {log}"));
     total.trim().parse::<f64>().unwrap() / f64::from(MATCHES)
@@ -73,9 +96,10 @@ fn check() -> ExitCode {
         eprintln!("SKIPPED: valgrind is not installed; no instructions are counted");
         return ExitCode::SUCCESS;
     }
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/instructions.csv");
+    let file = file();
     let kept = fs::read_to_string(&file).unwrap_or_default();
-    let mut found = String::from("stage,beams,instructions\n");
+    let here = circumstances();
+    let mut found = format!("{here}\nstage,beams,instructions\n");
     let mut differ = 0;
     for stage in STAGES {
         for (_, beams) in LASERS {
@@ -90,6 +114,10 @@ fn check() -> ExitCode {
     }
     if env::var_os("UPDATE_GOLDEN").is_some() {
         fs::write(&file, found).unwrap();
+        return ExitCode::SUCCESS;
+    }
+    if let Some(there) = kept.lines().next().filter(|there| *there != here) {
+        eprintln!("SKIPPED: these figures ({here}) cannot be held against those of {} ({there})", file.display());
         return ExitCode::SUCCESS;
     }
     if differ > 0 {

@@ -1,5 +1,5 @@
 //! Accuracy of single matches over simulated pairs of scans: error, consistency of the covariance, and how far off a guess may be.
-//! `cargo test --release --test accuracy -- --nocapture --test-threads 1` prints the tables.
+//! `cargo test --test accuracy -- --nocapture --test-threads 1` prints the tables.
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
 use anytime_scan_matcher::geometry::{Point, Pose2, PoseCovariance, wrap_angle};

@@ -1,7 +1,7 @@
 //! Readers of files and messages, given valid input that was spoiled: errors are welcome, panics and greed for memory are not.
 //!
 //! Every file under `tests/corpus/` is read as it is, and after edits that proptest makes up: 256 times in an ordinary run, longer by
-//! `PROPTEST_CASES=100000 cargo test --release --test fuzz`. What ever made a reader fail is kept there, beside the valid files.
+//! `PROPTEST_CASES=100000 cargo test --test fuzz`. What ever made a reader fail is kept there, beside the valid files.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 mod common;
@@ -188,7 +188,7 @@ fn map_images() {
     fuzz("map_image", 8 * MOST_MEMORY, |bytes| read_map(&description, bytes));
 }
 
-/// The valid files that are no text: `cargo test --release --test fuzz -- --ignored`.
+/// The valid files that are no text: `cargo test --test fuzz -- --ignored`.
 #[test]
 #[ignore = "writes the corpus"]
 fn write_the_corpus() {

@@ -1,4 +1,4 @@
-//! The README's table of parameters is the one the knobs make. `UPDATE_GOLDEN=1 cargo test --release --test readme` renews it.
+//! The README's table of parameters is the one the knobs make. `UPDATE_GOLDEN=1 cargo test --test readme` renews it.
 #![allow(clippy::unwrap_used)]
 
 use std::fs;
@@ -19,6 +19,6 @@ fn the_table_of_parameters_is_fresh() {
     if std::env::var_os("UPDATE_GOLDEN").is_some() {
         fs::write(&path, [before, BEGIN, &expected, END, after].concat()).unwrap();
     } else {
-        assert_eq!(found, expected, "renew the table: UPDATE_GOLDEN=1 cargo test --release --test readme");
+        assert_eq!(found, expected, "renew the table: UPDATE_GOLDEN=1 cargo test --test readme");
     }
 }

@@ -5,6 +5,7 @@ use std::time::Duration;
 use thiserror::Error;
 
 use crate::knobs::Seconds;
+use crate::messages::own;
 
 crate::knobs! {
     /// The contract in force until another one is given at run time.
@@ -89,6 +90,11 @@ impl Contract {
             && within(self.rotation_error_bound, rotation_error)
     }
 
+    /// How long to wait for news that make the answer better: half of the time budget at most.
+    pub fn patience(&self, longest: Duration) -> Duration {
+        self.time_budget.map_or(longest, |budget| longest.min(budget / 2))
+    }
+
     /// How much later than asked for an answer is that took so long.
     pub fn overrun(&self, elapsed: Duration) -> Duration {
         self.time_budget.map_or(Duration::ZERO, |budget| elapsed.saturating_sub(budget))
@@ -105,6 +111,14 @@ impl TryFrom<&ContractKnobs> for Contract {
 
     fn try_from(knobs: &ContractKnobs) -> Result<Self, ContractError> {
         Self::new(knobs.time_budget.0, knobs.translation_error_bound, knobs.rotation_error_bound)
+    }
+}
+
+impl TryFrom<&own::Contract> for Contract {
+    type Error = ContractError;
+
+    fn try_from(message: &own::Contract) -> Result<Self, ContractError> {
+        Self::new(message.time_budget.seconds(), message.translation_error_bound, message.rotation_error_bound)
     }
 }
 

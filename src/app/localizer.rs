@@ -270,8 +270,7 @@ impl Localizer {
 
     /// How long to hold back a scan of this stamp for odometry that has not come yet; `None`: take it now.
     pub fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        let longest = Duration::from_secs_f64(self.config.odometry.max_wait.0);
-        let wait = self.contract.time_budget.map_or(longest, |budget| longest.min(budget / 2));
+        let wait = self.contract.patience(Duration::from_secs_f64(self.config.odometry.max_wait.0));
         (!wait.is_zero() && self.wheel.is_behind(stamp)).then_some(wait)
     }
 
@@ -314,8 +313,7 @@ impl Localizer {
 
     /// Takes a contract; in force from the next scan on.
     pub fn on_contract(&mut self, message: &own::Contract) -> Result<(), InputError> {
-        self.contract =
-            Contract::new(message.time_budget.seconds(), message.translation_error_bound, message.rotation_error_bound)?;
+        self.contract = Contract::try_from(message)?;
         Ok(())
     }
 

@@ -278,8 +278,7 @@ impl App {
     /// How long to hold back a scan of this stamp for odometry that it needs and that has not come yet; `None`: answer it now. A scan
     /// that is answered all the same is predicted with what odometry there is.
     pub fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        let longest = Duration::from_secs_f64(self.config.odometry.max_wait.0);
-        let wait = self.contract.time_budget.map_or(longest, |budget| longest.min(budget / 2));
+        let wait = self.contract.patience(Duration::from_secs_f64(self.config.odometry.max_wait.0));
         (!wait.is_zero() && self.odometry.awaits_odometry(stamp)).then_some(wait)
     }
 
@@ -345,9 +344,7 @@ impl App {
 
     /// Takes a contract; in force from the next scan on.
     pub fn on_contract(&mut self, message: &own::Contract) -> Result<(), InputError> {
-        let contract =
-            Contract::new(message.time_budget.seconds(), message.translation_error_bound, message.rotation_error_bound);
-        self.contract = self.count_refused(contract.map_err(InputError::from))?;
+        self.contract = self.count_refused(Contract::try_from(message).map_err(InputError::from))?;
         Ok(())
     }
 

@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn twelve_variants_look_different() {
+    fn no_two_variants_look_the_same() {
         let looks: Vec<Look> = Variant::matchers().into_iter().chain([Variant::Filter]).map(look).collect();
         for (i, one) in looks.iter().enumerate() {
             assert!(looks[i + 1..].iter().all(|other| other != one), "{one:?}");

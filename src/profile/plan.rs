@@ -49,7 +49,8 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// Every variant with every value of every sweep that makes a difference to it. A value that the configuration refuses is an error here, before anything is run.
+    /// Every variant with every value of every sweep that makes a difference to it. A value that the configuration refuses is an error
+    /// here, before anything is run.
     pub fn new(base: &Config, variants: &[Variant], sweeps: &[Sweep], rounds: u32, seed: u32) -> Result<Self, ConfigError> {
         let mut cases: Vec<Case> = Vec::new();
         for &variant in variants {

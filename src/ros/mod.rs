@@ -15,6 +15,7 @@ pub mod contract_demo;
 mod convert;
 mod diagnostics;
 mod feed;
+mod fields;
 mod inlet;
 mod interrupts;
 mod links;

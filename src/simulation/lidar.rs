@@ -89,14 +89,18 @@ impl<'a> Lidar<'a> {
     /// A scan stamped `stamp`, the time of its first ray. So many seconds after that, `world` is how the world is, and
     /// `map_from_base` where the car is.
     pub fn scan<W: World>(&mut self, world: impl Fn(f64) -> W, map_from_base: impl Fn(f64) -> Pose2, stamp: Stamp) -> LaserScan {
-        let mut moment = (0.0, world(0.0));
+        let laser = |after| {
+            let pose = map_from_base(after) * self.knobs.laser_in_base;
+            (pose.translation(), pose.transform())
+        };
+        let mut moment = (0.0, world(0.0), laser(0.0));
         let distance = |(ray, &direction): (usize, &Point)| {
             let after = self.ray_time(ray);
             if after > moment.0 {
-                moment = (after, world(after));
+                moment = (after, world(after), laser(after));
             }
-            let laser = map_from_base(after) * self.knobs.laser_in_base;
-            moment.1.range(laser.translation(), laser.transform().rotate(direction), self.knobs.range_max)
+            let (_, world, (origin, turn)) = &moment;
+            world.range(*origin, turn.rotate(direction), self.knobs.range_max)
         };
         let distances: Vec<Option<f64>> = self.beams.directions().iter().enumerate().map(distance).collect();
         let mut scan = self.template.clone();

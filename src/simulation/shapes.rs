@@ -27,10 +27,14 @@ impl Segment {
         let along = self.to - self.from;
         let offset = self.from - origin;
         let determinant = direction.perp(&along);
+        let (whole, part) = (determinant.abs(), offset.perp(&direction) * determinant.signum()); // u = part / whole
+        // Most rays pass most segments by: that is told without a division.
+        if part < -OVERLAP * whole || part > (1.0 + OVERLAP) * whole {
+            return None;
+        }
         let t = offset.perp(&along) / determinant;
-        let u = offset.perp(&direction) / determinant;
-        // A ray parallel to the segment has determinant 0, hence t and u infinite or NaN: a thin wall cannot be seen edge-on.
-        (t >= 0.0 && t.is_finite() && (-OVERLAP..=1.0 + OVERLAP).contains(&u)).then_some(t)
+        // A ray parallel to the segment has determinant 0, hence t infinite or NaN: a thin wall cannot be seen edge-on.
+        (t >= 0.0 && t.is_finite()).then_some(t)
     }
 
     fn distance(&self, point: Point) -> f64 {
@@ -46,7 +50,10 @@ impl Circle {
         let offset = self.centre - origin;
         let middle = offset.dot(&direction);
         let miss = perpendicular(direction).dot(&offset);
-        let half_chord = ((self.radius - miss) * (self.radius + miss)).sqrt(); // NaN: the ray passes by
+        if miss.abs() > self.radius {
+            return None;
+        }
+        let half_chord = ((self.radius - miss) * (self.radius + miss)).sqrt();
         [middle - half_chord, middle + half_chord].into_iter().find(|&t| t >= 0.0)
     }
 

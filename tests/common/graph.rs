@@ -10,11 +10,6 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use anytime_scan_matcher::io::bag::{BagWriter, Compression};
-use anytime_scan_matcher::messages::Message;
-use anytime_scan_matcher::messages::std_msgs::Empty;
-use anytime_scan_matcher::time::Stamp;
-use serde::Serialize;
 use tempfile::TempDir;
 
 pub const PACKAGE: &str = env!("CARGO_MANIFEST_DIR");
@@ -177,9 +172,14 @@ impl Graph {
     /// The bag with what has been recorded.
     pub fn finish_recording(&self, mut recorder: Process) -> PathBuf {
         std::thread::sleep(Duration::from_millis(500)); // what is still on its way
-        let bag = self.dir.path().join("recorded.bag");
-        recorder.signal_group("INT"); // `rosbag record` is a script around the recorder
-        assert!(recorder.exit_code(PATIENCE).is_some() && eventually(|| bag.exists()), "{}", recorder.log());
+        // `rosbag record` is a script around the recorder, and ends before that has closed its file and said goodbye.
+        recorder.signal_group("INT");
+        let recorded = self.dir.path().join("recorded.bag");
+        let is_over = || recorded.exists() && !self.master_state().contains("/record_");
+        assert!(recorder.exit_code(PATIENCE).is_some() && eventually(is_over), "{}", recorder.log());
+        // Out of the way of the next one.
+        let bag = tempfile::Builder::new().suffix(".bag").tempfile_in(self.dir.path()).unwrap().keep().unwrap().1;
+        fs::rename(recorded, &bag).unwrap();
         bag
     }
 
@@ -187,17 +187,6 @@ impl Graph {
     pub fn play(&self, bag: &Path, arguments: &[&str]) {
         let mut player = self.start_playing(bag, arguments);
         assert_eq!(player.exit_code(6 * PATIENCE), Some(0), "{}", player.log());
-    }
-
-    /// Publishes one message, when links have had time to come about, and stays until it has been heard.
-    pub fn say<T: Message + Serialize>(&self, topic: &str, message: &T) {
-        let bag = self.dir.path().join("said.bag");
-        let mut writer = BagWriter::create(&bag, Compression::None).unwrap();
-        writer.write("/said", Stamp::from_ros(1, 0), &Empty {}).unwrap();
-        writer.write(topic, Stamp::from_ros(4, 0), message).unwrap();
-        writer.write("/said", Stamp::from_ros(6, 0), &Empty {}).unwrap();
-        writer.finish().unwrap();
-        self.play(&bag, &[]);
     }
 
     pub fn start_playing(&self, bag: &Path, arguments: &[&str]) -> Process {

@@ -18,4 +18,5 @@ mod master;
 mod recording;
 mod resources;
 mod soak;
+#[path = "../common/wire.rs"]
 mod wire;

@@ -2,9 +2,7 @@
 
 use nalgebra::Matrix3;
 use rosrust_msg::anytime_scan_matcher::FilterReport;
-use rosrust_msg::geometry_msgs::{
-    PoseArray, PoseStamped, PoseWithCovariance, TransformStamped, Twist, TwistWithCovariance, Vector3,
-};
+use rosrust_msg::geometry_msgs::{PoseArray, PoseStamped, PoseWithCovariance, TransformStamped, TwistWithCovariance};
 use rosrust_msg::nav_msgs::Odometry;
 use rosrust_msg::sensor_msgs::LaserScan as ScanMessage;
 use rosrust_msg::std_msgs::Header;
@@ -15,15 +13,15 @@ use crate::config::Config;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::localization::filter::Belief;
 use crate::messages::sensor_msgs::LaserScan;
-use crate::ros::convert::{covariance, pose, transform};
+use crate::ros::fields::{self, covariance, pose, transform, twist};
 use crate::time::Stamp;
 
 /// Particles shown at most: people see no more.
 const SHOWN: usize = 1000;
 
+/// Its answers are not numbered.
 pub(super) fn header(stamp: Stamp, frame: &str) -> Header {
-    let (sec, nsec) = stamp.to_ros();
-    Header { seq: 0, stamp: rosrust::Time { sec, nsec }, frame_id: frame.into() }
+    fields::header(0, stamp, frame)
 }
 
 /// Where the robot is at a time. How sure its velocity is, odometry knows, not the filter.
@@ -41,13 +39,11 @@ impl Placed<'_> {
     }
 
     pub(super) fn odometry(&self) -> Odometry {
-        let linear = Vector3 { x: self.twist.vx, y: self.twist.vy, z: 0.0 };
-        let twist = Twist { linear, angular: Vector3 { x: 0.0, y: 0.0, z: self.twist.omega } };
         Odometry {
             header: self.header(),
             child_frame_id: self.config.frames.base_frame.clone(),
             pose: PoseWithCovariance { pose: pose(&self.map_from_base), covariance: covariance(&self.covariance) },
-            twist: TwistWithCovariance { twist, covariance: covariance(&Matrix3::from_element(f64::NAN)) },
+            twist: TwistWithCovariance { twist: twist(&self.twist), covariance: covariance(&Matrix3::from_element(f64::NAN)) },
         }
     }
 

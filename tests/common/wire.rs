@@ -1,11 +1,12 @@
 //! Nodes made of bytes: they can do what no client library would.
+#![allow(dead_code)] // each test program uses some of it
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::time::Duration;
 
 use anytime_scan_matcher::messages::{self, Message};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::graph::{Graph, PATIENCE, call, eventually};
 
@@ -66,6 +67,16 @@ impl Publisher {
         stream.write_all(&header(&fields)).unwrap();
         stream
     }
+}
+
+/// Publishes one message to so many subscribers, once all of them are linked.
+pub fn say<T: Message + Serialize>(graph: &Graph, topic: &'static str, message: &T, subscribers: usize) {
+    let publisher = Publisher::new::<T>(graph, "/speaker", topic);
+    let links: Vec<TcpStream> = (0..subscribers).map(|_| publisher.link()).collect();
+    for mut link in links {
+        link.write_all(&frame(&messages::encode(message).unwrap())).unwrap();
+    }
+    publisher.unregister(graph);
 }
 
 /// To every call: here it is published.
