@@ -41,7 +41,7 @@ fn main() {
                 }
                 SimulatedMessage::Scan(scan) => {
                     let start = Instant::now();
-                    localizer.on_scan(&scan, Duration::ZERO).belief.unwrap();
+                    localizer.on_scan(&scan, Duration::ZERO, &Never).belief.unwrap();
                     localizer.maintain(&Never);
                     times.push(start.elapsed());
                 }

@@ -9,7 +9,7 @@ use super::convert::Placed;
 use super::publishers::Publishers;
 use super::subscriptions::Input;
 use crate::anytime::clock::Clock;
-use crate::anytime::interrupt::Interrupt;
+use crate::anytime::interrupt::{Interrupt, Request};
 use crate::anytime::timer::Timer;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::{InputError, MountSource, map_message};
@@ -57,6 +57,8 @@ pub(super) struct Worker {
     covariance: PoseCovariance,
     publishers: Publishers,
     mailbox: Arc<Mailbox<Input>>,
+    /// Somebody wants the answer to the scan that is being worked on.
+    request: Arc<Request>,
     clock: Arc<dyn Clock>,
     monitor: Arc<Monitor>,
     log: Log,
@@ -68,6 +70,7 @@ impl Worker {
         config: Config,
         publishers: Publishers,
         mailbox: Arc<Mailbox<Input>>,
+        request: Arc<Request>,
         clock: Arc<dyn Clock>,
         monitor: Arc<Monitor>,
         log: Log,
@@ -82,6 +85,7 @@ impl Worker {
             covariance: PoseCovariance::zeros(),
             publishers,
             mailbox,
+            request,
             clock,
             monitor,
             log,
@@ -186,7 +190,7 @@ impl Worker {
     fn hear(&mut self, input: Input, letter: &Letter) {
         let sender = letter.sender.as_str();
         match input {
-            Input::Scan | Input::Map => {} // have their own ways
+            Input::Scan | Input::Map | Input::Interrupt => {} // have their own ways
             Input::Odometry => self.tell(input, letter, |localizer, message| localizer.on_odometry(&message)),
             Input::InitialPose => self.tell(input, letter, |localizer, message| localizer.on_initial_pose(&message)),
             Input::ClickedPoint => self.tell(input, letter, |localizer, message| localizer.on_clicked_point(&message)),
@@ -264,7 +268,7 @@ impl Worker {
         let wait = |worker: &Self| worker.localizer.as_ref()?.wait_for_odometry(scan.header.stamp.into());
         while let Some(longest) = wait(self) {
             let left = (letter.arrival + longest).saturating_sub(self.clock.now());
-            if left.is_zero() || self.mailbox.has_scan() || self.mailbox.is_closed() {
+            if left.is_zero() || self.request.is_requested() || self.mailbox.has_scan() || self.mailbox.is_closed() {
                 return;
             }
             for event in self.mailbox.take_events(left.min(LOOK)).unwrap_or_default() {
@@ -278,10 +282,11 @@ impl Worker {
         if self.localizer.is_none() {
             return self.warn("scan", NO_MAP);
         }
+        self.request.clear();
         self.await_odometry(&scan, letter);
         let Some(localizer) = &mut self.localizer else { return };
         urgency.set(localizer.contract().time_budget.is_some());
-        let mut fix = localizer.on_scan(&scan, letter.arrival);
+        let mut fix = localizer.on_scan(&scan, letter.arrival, &*self.request);
         if let Ok(belief) = &fix.belief {
             self.covariance = belief.covariance;
             let placed = Placed {
