@@ -13,6 +13,7 @@ pub mod observation;
 mod particles;
 mod recovery;
 mod resampling;
+mod search;
 pub mod sensor;
 mod streams;
 mod update;
