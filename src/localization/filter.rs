@@ -27,7 +27,7 @@ use crate::raycasting::{Fan, RayCaster, RayCasting, Viewpoint, turn};
 /// While the robot may be anywhere, each particle is moved by so much when chosen: no two shall stand for the same pose. Cells, rad.
 const ROUGHENING: (f32, f32) = (1.0, 0.02);
 /// Then there are at least so many times as many particles as usual: places that are as likely as others shall not be given up by chance.
-const EXPLORERS: usize = 5;
+const EXPLORERS: usize = 10;
 /// Standard deviation of the position within which the robot knows where it is, m,
 const LOCALIZED: f64 = 0.3;
 /// if the cluster has this part of the weight.
@@ -73,8 +73,9 @@ pub struct ParticleFilter {
     beams: BeamTable,
     /// The model while the robot may be anywhere.
     global_beams: BeamTable,
-    /// What scans fit where the robot is, as the model says.
+    /// What scans fit where the robot is, as the model says, and the model while it may be anywhere.
     expected_fit: f64,
+    expected_global_fit: f64,
     squash: f64,
     caster: Box<dyn RayCaster>,
     grid: OccupancyGrid,
@@ -110,8 +111,9 @@ impl ParticleFilter {
             knobs: knobs.clone(),
             motion: motion.clone(),
             beams: BeamTable::new(sensor, map.resolution()),
-            global_beams: BeamTable::global(sensor, map.resolution()),
-            expected_fit: expected_fit(sensor),
+            global_beams: BeamTable::new(&sensor.global(), map.resolution()),
+            expected_fit: expected_fit(sensor, sensor),
+            expected_global_fit: expected_fit(sensor, &sensor.global()),
             squash: sensor.squash,
             caster: knobs
                 .ray_casting
@@ -172,8 +174,13 @@ impl ParticleFilter {
         self.belief = None;
         self.particles.clear();
         self.scatter(self.knobs.global_particles as usize, 0.0);
-        self.search = Some(Search::new());
-        self.fit = Fit::expecting(self.expected_fit);
+        self.begin_search(self.expected_fit);
+    }
+
+    /// Where the robot is, scans will fit as well as `usual`, once it is found.
+    fn begin_search(&mut self, usual: f64) {
+        self.fit = Fit::expecting(usual);
+        self.search = Some(Search::expecting(self.expected_global_fit * (usual / self.expected_fit).min(1.0)));
     }
 
     /// Puts so many particles where a robot could be, for practice, and tells what it would see there. What is believed means nothing
@@ -244,7 +251,8 @@ impl ParticleFilter {
     /// The laser, at `base_from_laser`, has seen something: new evidence, each scan but once. As many of its beams are taken in as the
     /// driver has time for. [`Self::finish`] is to follow.
     pub fn update(&mut self, observation: Observation, base_from_laser: &Pose2, driver: &mut Driver) -> (Belief, StopReason) {
-        if self.search.is_none() && self.fit.is_lost(self.knobs.recover_below) {
+        let part = self.knobs.recover_below;
+        if self.search.as_ref().map_or_else(|| self.fit.is_lost(part), |search| search.is_lost(part)) {
             self.look_everywhere();
         }
         let per_metre = self.grid.resolution().recip();
@@ -287,8 +295,7 @@ impl ParticleFilter {
         let largest = self.particles.log_weight.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let total: f64 = relative(&self.particles.log_weight).into_iter().map(f64::from).sum();
         self.scatter(count, largest + (total / count as f64).ln() as f32);
-        self.search = Some(Search::new());
-        self.fit = Fit::expecting(self.fit.usual());
+        self.begin_search(self.fit.usual());
     }
 
     /// Beams of the next step.

@@ -1,6 +1,7 @@
 //! The search for a robot that may be anywhere: how much of what it sees is news, and when it has been found.
 
 use super::filter::Belief;
+use super::recovery::Fit;
 use crate::geometry::Pose2;
 
 /// Scans from nearer than this, m and rad, show the same once more: together they are no more evidence than one.
@@ -11,18 +12,19 @@ const NO_RIVAL: f64 = 0.99;
 const WAY_WITHOUT_RIVAL: f64 = 2.0;
 
 /// How far it has come.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Search {
     /// Evidence that the robot's motion has made new and that has not been used, in scans.
     news: f64,
     /// Way without a rival, m.
     way: f64,
+    fit: Fit,
 }
 
 impl Search {
-    /// Nothing has been seen.
-    pub(super) fn new() -> Self {
-        Self { news: 1.0, way: 0.0 }
+    /// Nothing has been seen. Where the robot is, the likelihood of scans per beam is expected to be `fit`.
+    pub(super) fn expecting(fit: f64) -> Self {
+        Self { news: 1.0, way: 0.0, fit: Fit::expecting(fit) }
     }
 
     /// The robot has moved.
@@ -39,9 +41,17 @@ impl Search {
     /// The likelihood of a scan has been taken to `power`.
     pub(super) fn used(&mut self, power: f64, belief: &Belief) {
         self.news -= power;
+        if belief.beams > 0 {
+            self.fit.add(belief.fit);
+        }
         if belief.share < NO_RIVAL || !belief.is_compact() {
             self.way = 0.0;
         }
+    }
+
+    /// Whether it is on the wrong track everywhere: scans fit worse than `part` of what is expected.
+    pub(super) fn is_lost(&self, part: f64) -> bool {
+        self.fit.is_lost(part)
     }
 
     /// Whether it is over.
@@ -70,7 +80,7 @@ mod tests {
 
     #[test]
     fn a_robot_at_rest_sees_nothing_new_and_is_not_found() {
-        let mut search = Search::new();
+        let mut search = Search::expecting(0.1);
         search.used(0.75, &belief(1.0));
         for _ in 0..100 {
             search.moved(&Pose2::IDENTITY);
@@ -84,7 +94,7 @@ mod tests {
     #[test]
     fn it_is_found_where_no_other_place_has_been_likely_for_a_while() {
         let drive = |shares: &[f64]| {
-            let mut search = Search::new();
+            let mut search = Search::expecting(0.1);
             for &share in shares {
                 search.moved(&Pose2::new(0.5, 0.0, 0.0));
                 search.used(0.1, &belief(share));

@@ -157,6 +157,15 @@ fn a_drive_is_tracked() {
 }
 
 #[test]
+fn the_map_may_be_turned_and_its_cells_of_any_size() {
+    let grid = corridor();
+    let turned = OccupancyGrid::new(grid.width(), 0.06, Pose2::new(7.0, -3.0, 2.0), grid.cells().to_vec()).unwrap();
+    let outcome = run(&turned, &[Drive { seed: 3, seconds: 8.0, rate: 20.0 }], &Config::default(), at_truth);
+    let (position, heading) = outcome.rmse(20);
+    assert!(outcome.metres > 5.0 && position < 0.05 && heading < 0.5, "{position} m, {heading} deg in {} m", outcome.metres);
+}
+
+#[test]
 #[ignore = "half a minute for each map"]
 fn long_drives_on_real_maps_are_tracked() {
     for name in ["levine", "columbia", "skirk"] {
