@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock};
-use anytime_scan_matcher::anytime::interrupt::Never;
+use anytime_scan_matcher::anytime::interrupt::{Never, Request};
 use anytime_scan_matcher::app::localizer::{Localizer, NoEvidence};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
@@ -19,6 +19,7 @@ use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::localization::filter::Belief;
 use anytime_scan_matcher::map::grid::OccupancyGrid;
+use anytime_scan_matcher::matching::StopReason;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
@@ -248,13 +249,10 @@ fn a_kidnapped_robot_is_found_again() {
     assert!(outcome.converged(rate), "{:?}", outcome.answers.last());
 }
 
-#[test]
-fn nothing_is_evidence_twice_and_bad_scans_change_nothing() {
-    let map = corridor();
-    let mut localizer = Localizer::new(map.clone(), &Config::default(), clock()).unwrap();
-    let scene = Scene::in_map(map, 1).unwrap();
+/// The first scans of a drive through the corridor.
+fn three_scans() -> Vec<LaserScan> {
     let mut scans = Vec::new();
-    simulate::<()>(&Settings::default(), &scene, |_, message| match message {
+    simulate::<()>(&Settings::default(), &Scene::in_map(corridor(), 1).unwrap(), |_, message| match message {
         SimulatedMessage::Scan(scan) => {
             scans.push(scan);
             if scans.len() == 3 { Err(()) } else { Ok(()) }
@@ -262,6 +260,32 @@ fn nothing_is_evidence_twice_and_bad_scans_change_nothing() {
         _ => Ok(()),
     })
     .unwrap_err();
+    scans
+}
+
+#[test]
+fn who_calls_has_the_answer_before_any_beam_and_the_scan_is_taken_in_later() {
+    let mut localizer = Localizer::new(corridor(), &Config::default(), clock()).unwrap();
+    let (scans, request) = (three_scans(), Request::default());
+    let mut answer = |scan: &LaserScan| {
+        let mut fix = localizer.on_scan(scan, Duration::ZERO, &request);
+        localizer.conclude(&mut fix);
+        localizer.maintain(&Never);
+        (fix.stop_reason, fix.belief.unwrap())
+    };
+    request.make();
+    let (reason, called) = answer(&scans[0]);
+    assert_eq!((reason, called.beams), (Some(StopReason::Interrupted), 0));
+    request.clear();
+    let (reason, free) = answer(&scans[1]);
+    assert_eq!((reason, free.beams), (Some(StopReason::Converged), 60));
+    assert!(free.share > 2.0 * called.share, "the first scan left its trace: {} after {}", free.share, called.share);
+}
+
+#[test]
+fn nothing_is_evidence_twice_and_bad_scans_change_nothing() {
+    let mut localizer = Localizer::new(corridor(), &Config::default(), clock()).unwrap();
+    let scans = three_scans();
     take(&mut localizer, &scans[1]).unwrap();
     let poses: Vec<_> = localizer.filter().poses().collect();
     assert_eq!(take(&mut localizer, &scans[1]), Err(NoEvidence::NotNewer));
