@@ -43,7 +43,7 @@ fn main() {
                     let start = ProcessorClock.now();
                     localizer.on_scan(&scan, Duration::ZERO, &Never).belief.unwrap();
                     localizer.maintain(&Never);
-                    times.push(ProcessorClock.now() - start);
+                    times.push(ProcessorClock.now().saturating_sub(start));
                 }
             }
             Ok(())
