@@ -167,8 +167,8 @@ impl Localizer {
     }
 
     /// Takes a scan that arrived when the clock read `arrival`: moves the particles to its time, and corrects them by it.
-    /// [`Self::conclude`] and [`Self::maintain`] are to follow.
-    pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration) -> Fix {
+    /// [`Self::conclude`] and [`Self::maintain`] are to follow. `interrupt`: somebody wants the answer now.
+    pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration, interrupt: &dyn Interrupt) -> Fix {
         let (stamp, taken_up) = (Stamp::from(message.header.stamp), self.clock.now());
         let task = Task { contract: self.contract, arrival, taken_up };
         let mut fix = Fix {
@@ -181,7 +181,7 @@ impl Localizer {
             refined: None,
         };
         fix.belief = self.observe(message).map(|observation| {
-            let (belief, stop_reason, refined) = self.take_in(observation, task);
+            let (belief, stop_reason, refined) = self.take_in(observation, task, interrupt);
             (fix.stop_reason, fix.refined) = (Some(stop_reason), refined);
             belief
         });
@@ -202,10 +202,15 @@ impl Localizer {
         Ok(Observation::new(&scan, &message.ranges, self.config.sensor.beams as usize))
     }
 
-    fn take_in(&mut self, observation: Observation, task: Task) -> (Belief, StopReason, Option<Duration>) {
+    fn take_in(
+        &mut self,
+        observation: Observation,
+        task: Task,
+        interrupt: &dyn Interrupt,
+    ) -> (Belief, StopReason, Option<Duration>) {
         let stamp = observation.stamp;
         let motion = self.last.map(|(last, _)| (self.motion(last, stamp), stamp.seconds_since(last)));
-        let mut driver = Driver::new(task, &*self.clock, &Never, &mut self.costs);
+        let mut driver = Driver::new(task, &*self.clock, interrupt, &mut self.costs);
         self.filter.plan(observation.len(), &driver);
         if let Some((motion, seconds)) = motion {
             self.twist = Twist2::of_motion(&motion, seconds);

@@ -67,24 +67,24 @@ impl Evidence {
         self.weighed = beams.end;
     }
 
-    /// The logarithms of the weights after what is known so far, of the scan to a power of less than one where it would leave less
-    /// than `least` particles effective.
-    pub(super) fn posterior(&self, particles: &Particles, least: f64) -> Vec<f32> {
+    /// The logarithms of the weights after what is known so far, and the power to which the likelihood of the scan has been taken for
+    /// that: at most `power`, and less where more would leave less than `least` particles effective.
+    pub(super) fn posterior(&self, particles: &Particles, power: f64, least: f64) -> (Vec<f32>, f64) {
         let of_power = |power: f32| -> Vec<f32> {
             let pairs = particles.log_weight.iter().zip(&self.log_likelihoods);
             pairs.map(|(before, likelihood)| before + power * likelihood).collect()
         };
         let is_enough = |log_weights: &[f32]| effective_number(&relative(log_weights)) >= least;
-        let full = of_power(1.0);
+        let full = of_power(power as f32);
         if is_enough(&full) {
-            return full;
+            return (full, power);
         }
-        let (mut low, mut high) = (0.0, 1.0);
+        let (mut low, mut high) = (0.0, power as f32);
         for _ in 0..HALVINGS {
             let power = 0.5 * (low + high);
             *(if is_enough(&of_power(power)) { &mut low } else { &mut high }) = power;
         }
-        of_power(low)
+        (of_power(low), low.into())
     }
 
     /// Likelihood of the scan, as far as it is taken in, per beam; `None` before the first one. `squash` is that of the model.

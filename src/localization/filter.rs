@@ -12,6 +12,7 @@ use super::observation::Observation;
 use super::particles::{Particles, effective_number, relative};
 use super::recovery::Fit;
 use super::resampling::{kld_count, low_variance};
+use super::search::Search;
 use super::sensor::{BeamTable, SensorKnobs, expected_fit};
 use super::streams::{CHUNK, Streams};
 use super::update::{Update, particles_for};
@@ -25,6 +26,8 @@ use crate::raycasting::{Fan, RayCaster, RayCasting, Viewpoint, turn};
 
 /// While the robot may be anywhere, each particle is moved by so much when chosen: no two shall stand for the same pose. Cells, rad.
 const ROUGHENING: (f32, f32) = (1.0, 0.02);
+/// Then there are at least so many times as many particles as usual: places that are as likely as others shall not be given up by chance.
+const EXPLORERS: usize = 10;
 /// Standard deviation of the position within which the robot knows where it is, m,
 const LOCALIZED: f64 = 0.3;
 /// if the cluster has this part of the weight.
@@ -47,12 +50,19 @@ pub struct Belief {
     pub beams: usize,
     /// Likelihood of these, per beam.
     pub fit: f64,
+    /// Whether the robot is still looked for: it may be elsewhere.
+    pub is_sought: bool,
 }
 
 impl Belief {
     /// Whether the robot knows where it is.
     pub fn is_localized(&self) -> bool {
-        self.share > LOCALIZED_SHARE && (self.covariance.m11 + self.covariance.m22).sqrt() < LOCALIZED
+        !self.is_sought && self.share > LOCALIZED_SHARE && self.is_compact()
+    }
+
+    /// Whether the pose is one place.
+    pub(super) fn is_compact(&self) -> bool {
+        (self.covariance.m11 + self.covariance.m22).sqrt() < LOCALIZED
     }
 }
 
@@ -63,8 +73,9 @@ pub struct ParticleFilter {
     beams: BeamTable,
     /// The model while the robot may be anywhere.
     global_beams: BeamTable,
-    /// What scans fit where the robot is, as the model says.
+    /// What scans fit where the robot is, as the model says, and the model while it may be anywhere.
     expected_fit: f64,
+    expected_global_fit: f64,
     squash: f64,
     caster: Box<dyn RayCaster>,
     grid: OccupancyGrid,
@@ -77,13 +88,14 @@ pub struct ParticleFilter {
     chosen: Particles,
     /// The scan that is being taken in, or was last.
     evidence: Evidence,
-    /// What it leads to believe so far, and the logarithms of the weights then.
+    /// What it leads to believe so far, the logarithms of the weights then, and the power to which its likelihood is taken for that.
     belief: Option<Belief>,
     posterior: Vec<f32>,
+    power: f64,
     /// Particles that there is time for.
     affordable: usize,
-    /// Whether the robot may be anywhere.
-    exploring: bool,
+    /// While the robot may be anywhere.
+    search: Option<Search>,
     fit: Fit,
 }
 
@@ -99,8 +111,9 @@ impl ParticleFilter {
             knobs: knobs.clone(),
             motion: motion.clone(),
             beams: BeamTable::new(sensor, map.resolution()),
-            global_beams: BeamTable::global(sensor, map.resolution()),
-            expected_fit: expected_fit(sensor),
+            global_beams: BeamTable::new(&sensor.global(), map.resolution()),
+            expected_fit: expected_fit(sensor, sensor),
+            expected_global_fit: expected_fit(sensor, &sensor.global()),
             squash: sensor.squash,
             caster: knobs
                 .ray_casting
@@ -115,8 +128,9 @@ impl ParticleFilter {
             evidence: Evidence::default(),
             belief: None,
             posterior: Vec::new(),
+            power: 0.0,
             affordable: usize::MAX,
-            exploring: true,
+            search: None,
             fit: Fit::default(),
         };
         filter.spread();
@@ -151,7 +165,7 @@ impl ParticleFilter {
             let pose = self.grid.pose_in_cells(&pose);
             self.particles.push([pose.x as f32, pose.y as f32, pose.theta as f32], 0.0);
         }
-        self.exploring = false;
+        self.search = None;
         self.fit = Fit::default();
     }
 
@@ -160,8 +174,13 @@ impl ParticleFilter {
         self.belief = None;
         self.particles.clear();
         self.scatter(self.knobs.global_particles as usize, 0.0);
-        self.exploring = true;
-        self.fit = Fit::expecting(self.expected_fit);
+        self.begin_search(self.expected_fit);
+    }
+
+    /// Where the robot is, scans will fit as well as `usual`, once it is found.
+    fn begin_search(&mut self, usual: f64) {
+        self.fit = Fit::expecting(usual);
+        self.search = Some(Search::expecting(self.expected_global_fit * (usual / self.expected_fit).min(1.0)));
     }
 
     /// Puts so many particles where a robot could be, for practice, and tells what it would see there. What is believed means nothing
@@ -199,6 +218,9 @@ impl ParticleFilter {
 
     /// The robot has moved: `motion`, seen from its start, took `seconds`.
     pub fn predict(&mut self, motion: &Pose2, seconds: f64) {
+        if let Some(search) = &mut self.search {
+            search.moved(motion);
+        }
         let motion = UncertainMotion::new(&self.motion, motion, seconds);
         let (per_metre, streams) = (self.grid.resolution().recip(), self.streams.next());
         let Particles { x, y, theta, .. } = &mut self.particles;
@@ -219,7 +241,7 @@ impl ParticleFilter {
     /// Gives up particles if there are too many to move them and take in a scan of `beams` beams in the time there is. To be called
     /// before the motion.
     pub fn plan(&mut self, beams: usize, driver: &Driver) {
-        let wanted = if self.exploring { self.len() } else { self.knobs.particles as usize };
+        let wanted = if self.search.is_some() { self.len() } else { self.knobs.particles as usize };
         self.affordable = driver.outlook().map_or(usize::MAX, |(costs, left)| particles_for(costs, left, wanted, beams));
         if self.len() > self.affordable {
             self.resample(self.affordable);
@@ -229,7 +251,8 @@ impl ParticleFilter {
     /// The laser, at `base_from_laser`, has seen something: new evidence, each scan but once. As many of its beams are taken in as the
     /// driver has time for. [`Self::finish`] is to follow.
     pub fn update(&mut self, observation: Observation, base_from_laser: &Pose2, driver: &mut Driver) -> (Belief, StopReason) {
-        if !self.exploring && self.fit.is_lost(self.knobs.recover_below) {
+        let part = self.knobs.recover_below;
+        if self.search.as_ref().map_or_else(|| self.fit.is_lost(part), |search| search.is_lost(part)) {
             self.look_everywhere();
         }
         let per_metre = self.grid.resolution().recip();
@@ -250,15 +273,18 @@ impl ParticleFilter {
             belief = self.believe();
             self.belief = None;
         }
-        if !self.exploring && belief.beams > 0 {
+        if self.search.is_none() && belief.beams > 0 {
             self.fit.add(belief.fit);
         }
         std::mem::swap(&mut self.particles.log_weight, &mut self.posterior);
         self.evidence.begin(Observation::default(), std::iter::empty());
-        self.exploring &= !belief.is_localized();
+        if let Some(search) = &mut self.search {
+            search.used(self.power, &belief);
+        }
+        self.search.take_if(|search| search.is_over());
         let (count, usual) = (self.len(), self.usual_count());
-        let off = count > usual || count < usual && self.knobs.min_particles.is_none();
-        if off || belief.effective < self.knobs.resample_below * count as f64 {
+        let is_off = count > usual || count < usual && self.knobs.min_particles.is_none();
+        if is_off && self.search.is_none() || belief.effective < self.knobs.resample_below * count as f64 {
             self.resample(self.next_count());
         }
     }
@@ -269,8 +295,7 @@ impl ParticleFilter {
         let largest = self.particles.log_weight.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let total: f64 = relative(&self.particles.log_weight).into_iter().map(f64::from).sum();
         self.scatter(count, largest + (total / count as f64).ln() as f32);
-        self.exploring = true;
-        self.fit = Fit::expecting(self.fit.usual());
+        self.begin_search(self.fit.usual());
     }
 
     /// Beams of the next step.
@@ -285,17 +310,20 @@ impl ParticleFilter {
 
     /// Takes in some beams more.
     pub(super) fn weigh_next_beams(&mut self) {
-        let beams = if self.exploring { &self.global_beams } else { &self.beams };
+        let beams = if self.search.is_some() { &self.global_beams } else { &self.beams };
         self.evidence.weigh_next(beams, &*self.caster, &self.workers);
     }
 
     /// What is to be believed by as much of the scan as has been taken in.
     pub(super) fn believe(&mut self) -> Belief {
-        self.posterior = if self.weighed_beams() == 0 {
-            self.particles.log_weight.clone()
+        (self.posterior, self.power) = if self.weighed_beams() == 0 {
+            (self.particles.log_weight.clone(), 0.0)
         } else {
-            let part = if self.exploring { self.knobs.global_least_effective } else { self.knobs.least_effective };
-            self.evidence.posterior(&self.particles, part * self.len() as f64)
+            let (power, part) = match &self.search {
+                Some(search) => (search.news(), self.knobs.global_least_effective),
+                None => (1.0, self.knobs.least_effective),
+            };
+            self.evidence.posterior(&self.particles, power, part * self.len() as f64)
         };
         let weights = relative(&self.posterior);
         let mean = estimate::mean(&self.particles, &weights, self.grid.resolution());
@@ -310,6 +338,7 @@ impl ParticleFilter {
             effective: effective_number(&weights),
             beams: self.weighed_beams(),
             fit: self.evidence.fit(&self.particles, self.squash).unwrap_or(0.0),
+            is_sought: self.search.is_some(),
         };
         self.belief = Some(belief.clone());
         belief
@@ -322,7 +351,7 @@ impl ParticleFilter {
         self.chosen.clear();
         for index in low_variance(&weights, count, random.random()) {
             let mut pose = self.particles.pose(index);
-            if self.exploring {
+            if self.search.is_some() {
                 for (value, deviation) in pose.iter_mut().zip([ROUGHENING.0, ROUGHENING.0, ROUGHENING.1]) {
                     let normal: f32 = StandardNormal.sample(&mut random);
                     *value += deviation * normal;
@@ -333,15 +362,16 @@ impl ParticleFilter {
         std::mem::swap(&mut self.particles, &mut self.chosen);
     }
 
-    /// Particles of a robot that knows where it is.
+    /// Particles when the cloud is compact.
     fn usual_count(&self) -> usize {
-        (self.knobs.particles as usize).min(self.affordable)
+        let times = if self.search.is_some() { EXPLORERS } else { 1 };
+        (self.knobs.particles as usize * times).min(self.affordable)
     }
 
     /// How many particles the next generation has.
     fn next_count(&self) -> usize {
         let (now, usual) = (self.len(), self.usual_count());
-        let least = self.knobs.min_particles.map_or(usual, |least| (least as usize).min(usual));
+        let least = self.knobs.min_particles.filter(|_| self.search.is_none()).map_or(usual, |least| (least as usize).min(usual));
         if now <= usual && least == usual {
             return usual;
         }

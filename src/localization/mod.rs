@@ -13,6 +13,7 @@ pub mod observation;
 mod particles;
 mod recovery;
 mod resampling;
+mod search;
 pub mod sensor;
 mod streams;
 mod update;
@@ -44,7 +45,7 @@ crate::knobs! {
         /// A scan that would leave a smaller part of the particles effective is believed less, until it leaves so many.
         least_effective: f64 = 0.02, in 0 to 0.5;
         /// The same while the robot may be anywhere: no place is given up in haste.
-        global_least_effective: f64 = 0.1, in 0 to 0.5;
+        global_least_effective: f64 = 0.2, in 0 to 0.5;
         /// Particles are thrown over the whole map when the scans fit worse than this part of what they use to; 0: never.
         recover_below: f64 = 0.7, in 0 to 1;
         /// How far an initial pose without covariance may be off.

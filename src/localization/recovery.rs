@@ -10,16 +10,16 @@ const SETTLING: u32 = 20;
 pub(super) struct Fit {
     fast: f64,
     slow: f64,
+    /// What was expected beforehand, and as slowly given up where scans say otherwise.
+    expected: f64,
     scans: u32,
-    /// Whether `slow` was known beforehand.
-    is_given: bool,
 }
 
 impl Fit {
     /// For a robot that has been looked for all over the map: it may have been found in the wrong place, where nothing ever fits.
     /// What fits in the right one, the model says.
     pub(super) fn expecting(likelihood: f64) -> Self {
-        Self { slow: likelihood, is_given: true, ..Self::default() }
+        Self { expected: likelihood, ..Self::default() }
     }
 
     /// Takes the likelihood of a scan, per beam.
@@ -28,17 +28,18 @@ impl Fit {
         // Plain means at first.
         let first = f64::from(self.scans).recip();
         self.fast += RATES.0.max(first) * (likelihood - self.fast);
-        self.slow += if self.is_given { RATES.1 } else { RATES.1.max(first) } * (likelihood - self.slow);
+        self.slow += RATES.1.max(first) * (likelihood - self.slow);
+        self.expected += RATES.1 * (likelihood - self.expected);
     }
 
     /// Whether scans fit worse than `part` of what they use to.
     pub(super) fn is_lost(&self, part: f64) -> bool {
-        self.scans >= SETTLING && self.fast < part * self.slow
+        self.scans >= SETTLING && self.fast < part * self.usual()
     }
 
-    /// What scans use to fit.
+    /// What scans use to fit, or are expected to.
     pub(super) fn usual(&self) -> f64 {
-        self.slow
+        self.slow.max(self.expected)
     }
 }
 
@@ -57,6 +58,7 @@ mod tests {
         let (good, bad) = ([0.1; 50], [0.01; 50]);
         assert!(!after(Fit::default(), &good) && !after(Fit::default(), &bad));
         assert!(after(Fit::default(), &[good, bad].concat()));
+        assert!(after(Fit::expecting(0.03), &[good, bad].concat()));
         assert!(after(Fit::expecting(0.03), &bad) && !after(Fit::expecting(0.03), &good));
     }
 }

@@ -26,6 +26,13 @@ crate::knobs! {
     }
 }
 
+impl SensorKnobs {
+    /// The model for a robot that may be anywhere.
+    pub(super) fn global(&self) -> Self {
+        Self { hit_error: self.global_hit_error.max(self.hit_error), ..self.clone() }
+    }
+}
+
 /// Width of the classes of ranges, m.
 const CLASS: f64 = 0.025;
 
@@ -39,11 +46,6 @@ pub(super) struct BeamTable {
 }
 
 impl BeamTable {
-    /// The model for a robot that may be anywhere.
-    pub(super) fn global(knobs: &SensorKnobs, resolution: f64) -> Self {
-        Self::new(&SensorKnobs { hit_error: knobs.global_hit_error.max(knobs.hit_error), ..knobs.clone() }, resolution)
-    }
-
     pub(super) fn new(knobs: &SensorKnobs, resolution: f64) -> Self {
         let last = (knobs.max_range / CLASS).ceil() as usize;
         let classes = last + 1; // the last one: nothing within reach
@@ -76,11 +78,12 @@ impl BeamTable {
     }
 }
 
-/// The geometric mean of the likelihoods of the beams that the model expects.
-pub(super) fn expected_fit(knobs: &SensorKnobs) -> f64 {
-    let last = (knobs.max_range / CLASS).ceil() as usize;
-    let likelihoods = (0..=last).map(|measured| likelihood(knobs, measured, last / 4, last));
-    likelihoods.filter(|&likelihood| likelihood > 0.0).map(|likelihood| likelihood * likelihood.ln()).sum::<f64>().exp()
+/// The geometric mean of the likelihoods that `model` gives to beams that are as `truth` expects.
+pub(super) fn expected_fit(truth: &SensorKnobs, model: &SensorKnobs) -> f64 {
+    let last = (truth.max_range / CLASS).ceil() as usize;
+    let of = |knobs, measured| likelihood(knobs, measured, last / 4, last);
+    let likelihoods = (0..=last).map(|measured| (of(truth, measured), of(model, measured)));
+    likelihoods.filter(|&(_, likelihood)| likelihood > 0.0).map(|(share, likelihood)| share * likelihood.ln()).sum::<f64>().exp()
 }
 
 /// The share of ranges in a class, where the map has the range of another.

@@ -79,7 +79,7 @@ fn answer<E>(
     arrival: Duration,
     on_answer: &mut impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
 ) -> Result<(), E> {
-    let mut fix = localizer.on_scan(scan, arrival);
+    let mut fix = localizer.on_scan(scan, arrival, &Never);
     localizer.conclude(&mut fix);
     on_answer(&Answer::Fix(Box::new(fix)), scan)?;
     localizer.maintain(&Never);

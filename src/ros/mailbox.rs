@@ -149,8 +149,8 @@ impl<I> Mailbox<I> {
     }
 
     /// The events to go on with while a scan is held back, for which there is so much time `left`. `None`: it is to be answered now.
-    pub(super) fn events_for_held_scan(&self, left: Duration) -> Option<VecDeque<Event<I>>> {
-        let wait_no_more = left.is_zero() || self.has_scan() || self.is_closed();
+    pub(super) fn events_for_held_scan(&self, left: Duration, interrupt: &dyn Interrupt) -> Option<VecDeque<Event<I>>> {
+        let wait_no_more = left.is_zero() || interrupt.is_requested() || self.has_scan() || self.is_closed();
         (!wait_no_more).then(|| self.take_events(left.min(LOOK)).unwrap_or_default())
     }
 

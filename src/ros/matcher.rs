@@ -18,7 +18,6 @@ use super::services::Reply;
 use super::subscriptions::Input;
 use super::transform_output::Rival;
 use crate::anytime::clock::Clock;
-use crate::anytime::interrupt::Interrupt;
 use crate::app::{App, Estimate, MountSource};
 use crate::config::FrameKnobs;
 use crate::messages::geometry_msgs::TwistStamped;
@@ -119,8 +118,7 @@ impl Matcher {
     fn await_odometry(&mut self, stamp: Stamp, arrival: Duration) {
         while let Some(longest) = self.app.wait_for_odometry(stamp) {
             let left = (arrival + longest).saturating_sub(self.clock.now());
-            let events = if self.interrupts.is_requested() { None } else { self.mailbox.events_for_held_scan(left) };
-            let Some(events) = events else { return };
+            let Some(events) = self.mailbox.events_for_held_scan(left, &*self.interrupts) else { return };
             for event in events {
                 self.handle(event);
             }

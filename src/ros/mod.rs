@@ -25,6 +25,7 @@ mod mailbox;
 mod master;
 mod matcher;
 mod node;
+mod numbering;
 mod outlet;
 mod params;
 pub mod particle_filter;

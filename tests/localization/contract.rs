@@ -40,7 +40,7 @@ fn drive(assignments: &[&str]) -> (Vec<(Fix, Pose2)>, u64) {
             }
             SimulatedMessage::Scan(scan) => {
                 let arrival = clock.now();
-                let mut fix = localizer.on_scan(&scan, arrival);
+                let mut fix = localizer.on_scan(&scan, arrival, &Never);
                 localizer.conclude(&mut fix);
                 localizer.maintain(&Never);
                 let error = truth.unwrap_or_default().between(&fix.belief.as_ref().unwrap().map_from_base);

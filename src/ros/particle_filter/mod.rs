@@ -29,6 +29,7 @@ use super::supervisor::{self, Parts, Supervisor};
 use super::{NodeError, params, services, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
+use crate::anytime::interrupt::Request;
 use crate::config::Config;
 
 const NAME: &str = "particle_filter";
@@ -54,6 +55,7 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError>
 fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input>, NodeError> {
     let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
     let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
+    let request = Arc::new(Request::default());
     let publishers = Publishers::new(ros, &config.frames)?;
     let diagnostics = Diagnostics::new(ros, TASK)?;
     let mut roles = publishers.roles();
@@ -61,9 +63,16 @@ fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input
 
     let services = vec![services::reset(ros, GLOBAL, &mailbox)?];
     let links = Links::new(ros, &clock, log)?;
-    Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, &mailbox))?;
-    let worker =
-        Worker::new(config.clone(), publishers, Arc::clone(&mailbox), Arc::clone(&clock), Arc::clone(&monitor), log.clone());
+    Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, &mailbox, &request))?;
+    let worker = Worker::new(
+        config.clone(),
+        publishers,
+        Arc::clone(&mailbox),
+        request,
+        Arc::clone(&clock),
+        Arc::clone(&monitor),
+        log.clone(),
+    );
     let worker = supervisor::spawn("localizing", || worker.run())?;
     Ok(Parts { clock, mailbox, monitor, diagnostics, worker, links, services, roles })
 }

@@ -2,15 +2,18 @@
 
 use std::sync::Arc;
 
+use crate::anytime::interrupt::Request;
 use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};
 use crate::messages::nav_msgs::{OccupancyGrid, Odometry};
 use crate::messages::own::Contract;
 use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::std_msgs::Empty;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::ros::NodeError;
 use crate::ros::inlet::{Letter, Topic, listen};
 use crate::ros::links::Links;
 use crate::ros::mailbox::{Event, Mailbox};
+use crate::ros::numbering::Numbering;
 
 /// A topic the node listens to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,18 +24,20 @@ pub(in crate::ros) enum Input {
     InitialPose,
     ClickedPoint,
     Contract,
+    Interrupt,
     Transforms,
     StaticTransforms,
 }
 
 impl Input {
-    pub(super) const ALL: [Self; 8] = [
+    pub(super) const ALL: [Self; 9] = [
         Self::Scan,
         Self::Odometry,
         Self::Map,
         Self::InitialPose,
         Self::ClickedPoint,
         Self::Contract,
+        Self::Interrupt,
         Self::Transforms,
         Self::StaticTransforms,
     ];
@@ -50,6 +55,7 @@ impl Input {
             Self::InitialPose => Topic::of::<PoseWithCovarianceStamped>("initialpose"),
             Self::ClickedPoint => Topic::of::<PointStamped>("clicked_point"),
             Self::Contract => Topic::of::<Contract>("icp_contract"),
+            Self::Interrupt => Topic::of::<Empty>("icp_interrupt"),
             Self::Transforms => Topic::of::<TFMessage>("/tf"),
             Self::StaticTransforms => Topic::of::<TFMessage>("/tf_static"),
         }
@@ -57,10 +63,20 @@ impl Input {
 }
 
 /// Subscribes to `input`; what comes goes into the mailbox.
-pub(super) fn subscribe(links: &Links, input: Input, mailbox: &Arc<Mailbox<Input>>) -> Result<(), NodeError> {
-    let mailbox = Arc::clone(mailbox);
+pub(super) fn subscribe(
+    links: &Links,
+    input: Input,
+    mailbox: &Arc<Mailbox<Input>>,
+    request: &Arc<Request>,
+) -> Result<(), NodeError> {
+    let (mailbox, request) = (Arc::clone(mailbox), Arc::clone(request));
+    let mut numbering = Numbering::default();
     let receive = move |letter: Letter| match input {
-        Input::Scan => mailbox.put_scan(letter),
+        Input::Scan => {
+            mailbox.count_lost_scans(numbering.lost_before(&letter).into());
+            mailbox.put_scan(letter);
+        }
+        Input::Interrupt => request.make(),
         input => mailbox.put_event(Event::Message(input, letter)),
     };
     listen(links, input.topic(), receive)

@@ -10,6 +10,7 @@ use super::convert::Placed;
 use super::publishers::Publishers;
 use super::subscriptions::Input;
 use crate::anytime::clock::Clock;
+use crate::anytime::interrupt::Request;
 use crate::anytime::timer::Timer;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::{InputError, MountSource, map_message};
@@ -52,6 +53,8 @@ pub(super) struct Worker {
     covariance: PoseCovariance,
     publishers: Publishers,
     mailbox: Arc<Mailbox<Input>>,
+    /// Somebody wants the answer to the scan that is being worked on.
+    request: Arc<Request>,
     clock: Arc<dyn Clock>,
     monitor: Arc<Monitor>,
     log: Log,
@@ -65,6 +68,7 @@ impl Worker {
         config: Config,
         publishers: Publishers,
         mailbox: Arc<Mailbox<Input>>,
+        request: Arc<Request>,
         clock: Arc<dyn Clock>,
         monitor: Arc<Monitor>,
         log: Log,
@@ -80,6 +84,7 @@ impl Worker {
             covariance: PoseCovariance::zeros(),
             publishers,
             mailbox,
+            request,
             clock,
             monitor,
             log,
@@ -185,7 +190,7 @@ impl Worker {
     fn hear(&mut self, input: Input, letter: &Letter) {
         let sender = letter.sender.as_str();
         match input {
-            Input::Scan | Input::Map => {} // have their own ways
+            Input::Scan | Input::Map | Input::Interrupt => {} // have their own ways
             Input::Odometry => self.tell(input, letter, |localizer, message| localizer.on_odometry(&message)),
             Input::InitialPose => self.tell(input, letter, |localizer, message| localizer.on_initial_pose(&message)),
             Input::ClickedPoint => self.tell(input, letter, |localizer, message| localizer.on_clicked_point(&message)),
@@ -250,7 +255,7 @@ impl Worker {
         let wait = |worker: &Self| worker.localizer.as_ref()?.wait_for_odometry(scan.header.stamp.into());
         while let Some(longest) = wait(self) {
             let left = (letter.arrival + longest).saturating_sub(self.clock.now());
-            let Some(events) = self.mailbox.events_for_held_scan(left) else { return };
+            let Some(events) = self.mailbox.events_for_held_scan(left, &*self.request) else { return };
             for event in events {
                 self.handle(event);
             }
@@ -262,10 +267,11 @@ impl Worker {
         if self.localizer.is_none() {
             return self.reader.warn("scan", NO_MAP);
         }
+        self.request.clear();
         self.await_odometry(&scan, letter);
         let Some(localizer) = &mut self.localizer else { return };
         urgency.set(localizer.contract().time_budget.is_some());
-        let mut fix = localizer.on_scan(&scan, letter.arrival);
+        let mut fix = localizer.on_scan(&scan, letter.arrival, &*self.request);
         if let Ok(belief) = &fix.belief {
             self.covariance = belief.covariance;
             let placed = Placed {
