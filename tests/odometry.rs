@@ -13,6 +13,8 @@ use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::odometry::Registration;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
@@ -179,4 +181,53 @@ fn at_rest_for_ten_minutes_nothing_moves() {
     println!("10 minutes at rest: on average {:.2} mm and {turn:.4} deg away, at most {:.2} mm", 1e3 * distance, 1e3 * farthest);
     assert!(distance < 0.001 && turn < 0.01 && farthest < 0.005, "{distance} {turn} {farthest}");
     assert_eq!(app.odometry_counters().keyframes, 1);
+}
+
+/// Scans of a drive round the corridor, each with where it was taken, and the transform of the laser's mount.
+fn scans(settings: &Settings) -> (TFMessage, Vec<(Pose2, LaserScan)>) {
+    let scene = Scene::built_in(BuiltIn::Corridor).unwrap();
+    let (mut truth, mut scans, mut mount) = (Pose2::IDENTITY, Vec::new(), TFMessage::default());
+    let played: Result<(), std::convert::Infallible> = simulate(settings, &scene, |_, message| {
+        match message {
+            SimulatedMessage::Mount(message) => mount = message,
+            SimulatedMessage::Odometry(_) => {}
+            SimulatedMessage::Truth { map_from_base, .. } => truth = map_from_base,
+            SimulatedMessage::Scan(scan) => scans.push((truth, scan)),
+        }
+        Ok(())
+    });
+    played.unwrap();
+    (mount, scans)
+}
+
+#[test]
+fn a_robot_that_is_carried_off_drives_on_where_it_is_put_down() {
+    let mut settings = settings(3.0, 0.0);
+    settings.drive.duration = Seconds(36.0);
+    settings.lidar.rate = 100.0;
+    let (mount, scans) = scans(&settings);
+    let mut lost = Vec::new();
+    for (from, to) in (0..8).flat_map(|from| (0..8).map(move |to| (200 + 230 * from, 230 + 370 * to))) {
+        let mut app = app(&[]);
+        app.on_transforms(&mount).unwrap();
+        let drive = scans[from..from + 400].iter().chain(&scans[to..to + 300]).enumerate();
+        let answers: Vec<(Pose2, Pose2)> = drive
+            .map(|(i, (truth, scan))| {
+                let mut scan = scan.clone();
+                scan.header.stamp = Stamp::from_seconds(100.0 + 0.01 * i as f64).into();
+                let registration = app.on_scan(&scan, Duration::ZERO).registration;
+                app.maintain(&Never);
+                (*truth, registration.odom_from_base)
+            })
+            .collect();
+        // The moment itself, and what comes to light only later, left out.
+        let settled = &answers[550..];
+        let (truth, found) = settled[0];
+        let worst = settled.iter().map(|(t, f)| truth.between(t).between(&found.between(f)).distance()).fold(0.0, f64::max);
+        if worst > 0.05 {
+            lost.push((from, to, worst));
+        }
+    }
+    println!("carried off without being told, by scans alone: drove on wrongly {} of 64 times: {lost:?}", lost.len());
+    assert!(lost.len() <= 1, "{lost:?}");
 }

@@ -18,6 +18,9 @@ pub(super) struct Last {
     pub(super) map_from_base: Pose2,
     pub(super) map_from_laser: Pose2,
     pub(super) covariance: PoseCovariance,
+    /// The velocity that led from the answer before to this one.
+    pub(super) seen_twist: Twist2,
+    /// The velocity that is believed in.
     pub(super) twist: Twist2,
 }
 

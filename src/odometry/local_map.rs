@@ -19,6 +19,9 @@ const REACH: f64 = 3.0;
 /// Over this way a path does not drift by much, m.
 const SHORT_WAY: f64 = 20.0;
 
+/// As far apart are keyframes along the path that the robot came between in a way that is not known, m.
+const LOST_WAY: f64 = 2.0 * SHORT_WAY;
+
 /// Where a scan was taken.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
@@ -71,14 +74,19 @@ impl LocalMap {
         *self = Self { near: std::mem::take(&mut self.near), ..Self::default() };
     }
 
-    /// Adds a keyframe. Of more than `most`, the oldest goes.
-    pub(super) fn add(&mut self, place: Placement, view: Arc<View>, most: usize) {
+    /// Adds a keyframe. Of more than `most`, the oldest goes. `is_lost`: how the robot came here from the last one is not known, so that
+    /// none of those so far serve any more until they are recognised.
+    pub(super) fn add(&mut self, place: Placement, view: Arc<View>, is_lost: bool, most: usize) {
         let way = self
             .keyframes
             .back()
             .map_or(0.0, |last| last.way + last.place.map_from_laser.between(&place.map_from_laser).distance());
         while self.keyframes.len() >= most.max(1) {
             self.keyframes.pop_front();
+        }
+        let way = if is_lost { way + LOST_WAY } else { way };
+        if is_lost {
+            self.matched.clear();
         }
         self.keyframes.push_back(Keyframe { place, view, way });
         let oldest = self.keyframes[0].way;
@@ -223,7 +231,7 @@ mod tests {
         let mut map = LocalMap::default();
         for &(x, y) in places {
             let place = Placement { map_from_laser: Pose2::new(x, y, 0.0), covariance: PoseCovariance::zeros() };
-            map.add(place, Arc::clone(&view), most);
+            map.add(place, Arc::clone(&view), false, most);
             around(&mut map, (x, y), 1);
         }
         map

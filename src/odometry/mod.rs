@@ -33,6 +33,14 @@ use wheel::{WheelEvent, WheelSample};
 const NEW_RUN: f64 = 1.0;
 /// A constant velocity predicts over gaps up to this, s.
 const MAX_PREDICTION_GAP: f64 = 1.0;
+/// A velocity from two poses is not better known than this, m/s ...
+const VELOCITY_ERROR: f64 = 1.0;
+/// ... and rad/s, ...
+const TURN_RATE_ERROR: f64 = 2.0;
+/// and does not change by more than this: m/s^2 ...
+const MAX_ACCELERATION: f64 = 30.0;
+/// ... and rad/s^2.
+const MAX_TURN_ACCELERATION: f64 = 100.0;
 /// Weight of the last scan in the usual agreement.
 const USUAL_WEIGHT: f64 = 0.05;
 /// A sweep that takes longer is a mistake of the driver, s.
@@ -122,7 +130,7 @@ pub struct LaserOdometry {
     to_be_recognised: bool,
     views: Vec<PlacedView>,
     keyframe: Option<Placement>,
-    upcoming_keyframe: Option<(Scan, Placement)>,
+    upcoming_keyframe: Option<UpcomingKeyframe>,
     /// The last scan, when its answer was given before its match was done, and the pose (in the keyframe) that it had come to.
     unfinished: Option<(Scan, Attempt, Pose2)>,
     last: Option<Last>,
@@ -258,7 +266,7 @@ impl LaserOdometry {
         let prediction = self.predict(&last, scan.stamp());
         let attempt = Attempt { last, prediction, base_from_laser: *base_from_laser };
         let Some(keyframe) = self.keyframe else {
-            return self.answer_predicted(scan, &attempt, None, "no reference scan".into(), true);
+            return self.answer_predicted(scan, &attempt, None, "no reference scan".into(), false, true);
         };
         let first_guess = keyframe.map_from_laser.between(&attempt.predicted_laser());
         let found = self.match_to(&keyframe, scan, &attempt, first_guess, driver);
@@ -277,7 +285,7 @@ impl LaserOdometry {
             Err(problem) => {
                 // Where there was no time to match, nothing speaks against the keyframe.
                 let no_time = found.report.iterations == 0 && !found.report.stop_reason.is_failure();
-                self.answer_predicted(scan, &attempt, Some(found.report), problem, becomes_keyframe || !no_time)
+                self.answer_predicted(scan, &attempt, Some(found.report), problem, becomes_keyframe, !no_time)
             }
         }
     }
@@ -343,6 +351,7 @@ impl LaserOdometry {
         let laser_from_base = attempt.base_from_laser.inverse();
         let answer = Answer {
             outcome: Outcome::Matched,
+            is_lost: false,
             map_from_base: map_from_laser * laser_from_base,
             covariance: uncertainty::compound(&map_from_laser, &laser_covariance, &laser_from_base, &PoseCovariance::zeros()),
             step_covariance: match_covariance,
@@ -359,9 +368,9 @@ impl LaserOdometry {
         let keeps_map = self.knobs.reference == ReferenceChoice::LocalMap;
         let upcoming = self.upcoming_keyframe.take();
         let changes = upcoming.is_some() || keeps_map;
-        if let Some((scan, place)) = upcoming {
+        if let Some(UpcomingKeyframe { scan, place, is_lost }) = upcoming {
             let most = if keeps_map { self.knobs.max_keyframes } else { 1 };
-            self.map.add(place, self.matcher.view(scan), most as usize);
+            self.map.add(place, self.matcher.view(scan), is_lost, most as usize);
             self.to_be_recognised = keeps_map && self.knobs.close_loops;
         }
         if changes {
@@ -484,6 +493,7 @@ impl LaserOdometry {
     fn answer_first(&mut self, scan: &Scan, base_from_laser: &Pose2) -> Registration {
         let answer = Answer {
             outcome: Outcome::First,
+            is_lost: false,
             map_from_base: self.start,
             covariance: PoseCovariance::zeros(),
             step_covariance: PoseCovariance::zeros(),
@@ -494,8 +504,8 @@ impl LaserOdometry {
         self.conclude(scan, base_from_laser, answer, true)
     }
 
-    /// The prediction as answer. A scan that could not be matched becomes the keyframe: the one it was to be matched to must not be
-    /// kept for ever.
+    /// The prediction as answer. `is_lost`: the scan could not be matched. It becomes the keyframe then: the one it was to be matched to
+    /// must not be kept for ever.
     fn answer_predicted(
         &mut self,
         scan: &Scan,
@@ -503,12 +513,14 @@ impl LaserOdometry {
         refinement: Option<RefinementReport>,
         problem: String,
         becomes_keyframe: bool,
+        is_lost: bool,
     ) -> Registration {
         let Attempt { last, prediction: Prediction { motion, covariance }, base_from_laser } = attempt;
         self.counters.predicted += 1;
         let error = ErrorEstimate::of_covariance(covariance);
         let answer = Answer {
             outcome: Outcome::Predicted(problem),
+            is_lost,
             map_from_base: last.map_from_base * *motion,
             covariance: uncertainty::compound(&last.map_from_base, &last.covariance, motion, covariance),
             step_covariance: *covariance,
@@ -559,19 +571,28 @@ impl LaserOdometry {
         Prediction { motion, covariance }
     }
 
+    /// The velocity that leads from the last answer to this one, and the velocity to believe in: a pose that jumps, as when the robot is
+    /// carried off, is no velocity unless it goes on like that.
+    fn velocity(&self, map_from_base: &Pose2, seconds: Option<f64>) -> (Twist2, Twist2) {
+        let (Some(last), Some(seconds)) = (self.last, seconds) else { return Default::default() };
+        let seen = Twist2::of_motion(&last.map_from_base.between(map_from_base), seconds);
+        let goes_on = [last.twist, last.seen_twist].iter().any(|before| is_steady(before, &seen, seconds));
+        (seen, if goes_on { seen } else { last.twist })
+    }
+
     fn conclude(&mut self, scan: &Scan, base_from_laser: &Pose2, answer: Answer, becomes_keyframe: bool) -> Registration {
+        let seconds = self.last.map(|last| scan.stamp().seconds_since(last.stamp));
+        let (seen_twist, twist) = self.velocity(&answer.map_from_base, seconds);
+        let is_lost = answer.is_lost || twist != seen_twist;
+        let becomes_keyframe = becomes_keyframe || is_lost;
         if becomes_keyframe {
             self.counters.keyframes += 1;
             let map_from_laser = answer.map_from_base * *base_from_laser;
             let covariance =
                 uncertainty::compound(&answer.map_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
-            self.upcoming_keyframe = Some((scan.clone(), Placement { map_from_laser, covariance }));
+            self.upcoming_keyframe =
+                Some(UpcomingKeyframe { scan: scan.clone(), place: Placement { map_from_laser, covariance }, is_lost });
         }
-        let seconds = self.last.map(|last| scan.stamp().seconds_since(last.stamp));
-        let twist = match (self.last, seconds) {
-            (Some(last), Some(seconds)) => Twist2::of_motion(&last.map_from_base.between(&answer.map_from_base), seconds),
-            _ => Twist2::default(),
-        };
         let twist_covariance =
             seconds.map_or_else(PoseCovariance::zeros, |seconds| answer.step_covariance * 2.0 / (seconds * seconds));
         self.last = Some(Last {
@@ -579,6 +600,7 @@ impl LaserOdometry {
             map_from_base: answer.map_from_base,
             map_from_laser: answer.map_from_base * *base_from_laser,
             covariance: answer.covariance,
+            seen_twist,
             twist,
         });
         Registration {
@@ -593,15 +615,32 @@ impl LaserOdometry {
     }
 }
 
+/// Whether a robot can come from one velocity to the other within `seconds`.
+fn is_steady(before: &Twist2, after: &Twist2, seconds: f64) -> bool {
+    let change = (after.vx - before.vx).hypot(after.vy - before.vy);
+    let turn_change = (after.omega - before.omega).abs();
+    change < VELOCITY_ERROR + MAX_ACCELERATION * seconds && turn_change < TURN_RATE_ERROR + MAX_TURN_ACCELERATION * seconds
+}
+
 /// What [`LaserOdometry::conclude`] turns into a [`Registration`].
 struct Answer {
     outcome: Outcome,
+    /// How the robot came here from the answer before is not known.
+    is_lost: bool,
     map_from_base: Pose2,
     covariance: PoseCovariance,
     step_covariance: PoseCovariance,
     refinement: Option<RefinementReport>,
     predicted_error: ErrorEstimate,
     estimated_error: ErrorEstimate,
+}
+
+/// A scan that is to become a keyframe.
+struct UpcomingKeyframe {
+    scan: Scan,
+    place: Placement,
+    /// How the robot came here from the last keyframe is not known.
+    is_lost: bool,
 }
 
 /// What came of an attempt.
