@@ -33,11 +33,11 @@ use wheel::{WheelEvent, WheelSample};
 const NEW_RUN: f64 = 1.0;
 /// A constant velocity predicts over gaps up to this, s.
 const MAX_PREDICTION_GAP: f64 = 1.0;
-/// A velocity from two poses is not better known than this, m/s ...
-const VELOCITY_ERROR: f64 = 1.0;
-/// ... and rad/s, ...
-const TURN_RATE_ERROR: f64 = 2.0;
-/// and does not change by more than this: m/s^2 ...
+/// A pose farther than this, m, from where the velocity before leads has jumped, ...
+const JUMP: f64 = 0.04;
+/// as has one with this turn, rad, ...
+const TURN_JUMP: f64 = 0.04;
+/// besides what a robot speeds up by: m/s^2 ...
 const MAX_ACCELERATION: f64 = 30.0;
 /// ... and rad/s^2.
 const MAX_TURN_ACCELERATION: f64 = 100.0;
@@ -619,7 +619,8 @@ impl LaserOdometry {
 fn is_steady(before: &Twist2, after: &Twist2, seconds: f64) -> bool {
     let change = (after.vx - before.vx).hypot(after.vy - before.vy);
     let turn_change = (after.omega - before.omega).abs();
-    change < VELOCITY_ERROR + MAX_ACCELERATION * seconds && turn_change < TURN_RATE_ERROR + MAX_TURN_ACCELERATION * seconds
+    let within = |change: f64, jump: f64, acceleration: f64| change * seconds < jump + acceleration * seconds * seconds;
+    within(change, JUMP, MAX_ACCELERATION) && within(turn_change, TURN_JUMP, MAX_TURN_ACCELERATION)
 }
 
 /// What [`LaserOdometry::conclude`] turns into a [`Registration`].
