@@ -153,8 +153,10 @@ impl Graph {
     pub fn record(&self, topics: &[&str]) -> Process {
         let mut arguments = vec!["record", "-O", "recorded.bag"];
         arguments.extend(topics);
+        let links = || self.master_state().matches("/record_").count();
+        let before = links(); // of one that ended without a word to the master
         let recorder = self.spawn("rosbag", &arguments);
-        assert!(eventually(|| self.master_state().matches("/record_").count() >= topics.len()), "{}", recorder.log());
+        assert!(eventually(|| links() >= before + topics.len()), "{}", recorder.log());
         recorder
     }
 
@@ -172,11 +174,10 @@ impl Graph {
     /// The bag with what has been recorded.
     pub fn finish_recording(&self, mut recorder: Process) -> PathBuf {
         std::thread::sleep(Duration::from_millis(500)); // what is still on its way
-        // `rosbag record` is a script around the recorder, and ends before that has closed its file and said goodbye.
+        // `rosbag record` is a script around the recorder, and ends before that has closed its file, which then has its name.
         recorder.signal_group("INT");
         let recorded = self.dir.path().join("recorded.bag");
-        let is_over = || recorded.exists() && !self.master_state().contains("/record_");
-        assert!(recorder.exit_code(PATIENCE).is_some() && eventually(is_over), "{}", recorder.log());
+        assert!(recorder.exit_code(PATIENCE).is_some() && eventually(|| recorded.exists()), "{}", recorder.log());
         // Out of the way of the next one.
         let bag = tempfile::Builder::new().suffix(".bag").tempfile_in(self.dir.path()).unwrap().keep().unwrap().1;
         fs::rename(recorded, &bag).unwrap();
