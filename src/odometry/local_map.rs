@@ -14,7 +14,14 @@ use crate::matching::{PlacedView, View};
 const METRE_OF_TURN: f64 = 1.0;
 
 /// Keyframes farther than this from a pose (m, and turns as metres) see other things.
-const REACH: f64 = 3.0;
+const REACH: f64 = 6.0;
+
+/// Of the keyframes that serve a scan so many are the nearest, which see most of what it sees.
+const NEAREST: usize = 3;
+
+/// Each further one is so much farther from the scan, m: it sees less of the same, but errs otherwise than the ones before, so that the
+/// errors from keyframe to keyframe add up less.
+const SPACING: f64 = 1.0;
 
 /// Over this way a path does not drift by much, m.
 const SHORT_WAY: f64 = 20.0;
@@ -98,8 +105,9 @@ impl LocalMap {
         self.keyframes.back().map(|keyframe| (keyframe.place.map_from_laser, &keyframe.view))
     }
 
-    /// The `count` keyframes that saw most of what is seen from a pose, as views of the first one's laser; where that was. Only those
-    /// that are connected with the ones that scans were matched to before. The last keyframe is always near enough.
+    /// `count` keyframes that saw some of what is seen from a pose, the nearest ones and some around, as views of the first one's laser;
+    /// where that was. Only those that are connected with the ones that scans were matched to before. The last keyframe is always near
+    /// enough.
     pub(super) fn views_around(
         &mut self,
         map_from_laser: &Pose2,
@@ -112,7 +120,7 @@ impl LocalMap {
         if self.near.is_empty() {
             self.near.push((REACH, last));
         }
-        self.near.truncate(count);
+        self.spread(count);
         self.matched.clear();
         self.matched.extend(self.near.iter().map(|&(_, i)| self.keyframes[i].way));
         if !self.is_exploring() {
@@ -198,6 +206,22 @@ impl LocalMap {
         self.near = near;
     }
 
+    /// Leaves `count` of the keyframes noted: the nearest, and of the same visit some farther and farther out.
+    fn spread(&mut self, count: usize) {
+        let Some(&(_, first)) = self.near.first() else { return };
+        let (keyframes, way) = (&self.keyframes, self.keyframes[first].way);
+        let (mut kept, mut farthest) = (0, 0.0);
+        self.near.retain(|&(difference, i)| {
+            let is_of_visit = (keyframes[i].way - way).abs() <= SHORT_WAY;
+            let is_chosen = kept < NEAREST || (difference >= farthest + SPACING && is_of_visit);
+            let is_kept = kept < count && is_chosen;
+            if is_kept {
+                (kept, farthest) = (kept + 1, difference);
+            }
+            is_kept
+        });
+    }
+
     /// The keyframes noted, as views of the first one's laser.
     fn place_views(&self, views: &mut Vec<PlacedView>) {
         views.clear();
@@ -255,6 +279,15 @@ mod tests {
         let mut map = map(&[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)], 10);
         assert_eq!(around(&mut map, (0.9, 0.0), 2), [(1.0, 0.0), (0.0, 0.0)]);
         assert_eq!(around(&mut map, (20.0, 0.0), 2), [(2.0, 0.0)], "others are out of reach, the last one never");
+    }
+
+    #[test]
+    fn farther_ones_are_spread_out() {
+        let line: Vec<_> = (0..=50).map(|i| (0.1 * f64::from(i), 0.0)).collect();
+        let xs: Vec<f64> = around(&mut map(&line, 100), (5.0, 0.0), 5).iter().map(|&(x, _)| x).collect();
+        for (x, expected) in xs.iter().zip([5.0, 4.9, 4.8, 3.8, 2.8]) {
+            assert!((x - expected).abs() < 0.11, "{xs:?}");
+        }
     }
 
     #[test]

@@ -63,8 +63,9 @@ crate::knobs! {
     pub struct OdometryKnobs {
         /// What a scan is matched to: the scan before, the last keyframe, or the keyframes around.
         reference: ReferenceChoice = ReferenceChoice::LocalMap;
-        /// Keyframes that a scan is matched to at once, of those around; where it is matched to nearest points, to the first of them alone.
-        views: u32 = 3, in 1 to 20;
+        /// Keyframes that a scan is matched to at once: the three nearest, and some farther and farther out; where it is matched to nearest
+        /// points, to the first of them alone.
+        views: u32 = 6, in 1 to 20;
         /// Keyframes of the local map at most; beyond, the oldest go. One takes 30 bytes per beam.
         max_keyframes: u32 = 1000, in 1 to 10000;
         /// Recognise places of earlier on the path, in the local map, and put the map right: poses then jump in the map frame, never in
