@@ -6,8 +6,8 @@
 //! is the error of the guess: all weigh alike, and the kernel is wide. As the scans come to lie on each other it falls to what
 //! surfaces are uneven, and grazing rays, which know best, count.
 
-use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, mask32x8, prelude::*};
-use nalgebra::{Matrix2, SymmetricEigen};
+use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
+use nalgebra::Matrix2;
 
 use super::{Agreement, Metric, Pairing, Pairs, PlacedView};
 use crate::geometry::{Point, Pose2};
@@ -15,7 +15,9 @@ use crate::matching::covariance::condition_number;
 use crate::matching::line_fit::LineFitter;
 use crate::matching::ray_order::RayOrder;
 use crate::matching::solver::QuadraticForm;
-use crate::matching::view::{Bearings, Surface, View};
+use crate::matching::solver::point_to_line::SymmetricEigen;
+use crate::matching::surface::{LANES, Surface, Surfaces};
+use crate::matching::view::{Bearings, View};
 use crate::matching::{FirstGuess, Prior, Uncertainty};
 use crate::scan::Scan;
 
@@ -24,7 +26,7 @@ const KERNEL_SIGMAS: f64 = 3.0;
 /// That error for the first pairs, m.
 const FIRST_WIDTH: f64 = 0.3;
 /// From iteration to iteration the floor falls to this part of it at least: what fits first need not fit best.
-const STEEPEST: f64 = 0.16;
+const STEEPEST: f64 = 0.08;
 /// And to this part of it at most, while it is above [`MOST_FLOOR`] ...
 const GENTLEST: f64 = 0.5;
 /// ... which stands for 3 cm: what errs more is no unevenness, but something that has moved.
@@ -42,13 +44,15 @@ const ROUGH_AGREEMENT: f32 = 0.12;
 /// A direction in which the pairs know so many times what errors of the surfaces' directions feign is not seen at all.
 const FEIGNED: f64 = 4.0;
 
-/// Rays that are handled at a time.
-const LANES: usize = 8;
+/// Numbers of the rays that are handled at a time.
 type Lanes = [f32; LANES];
 
 /// Points of the sensed scan, in its own frame.
 #[derive(Debug, Default)]
 struct Sensed {
+    /// All of them, m.
+    points: Vec<[f32; 2]>,
+    /// Number of those that take part.
     len: usize,
     /// m.
     x: Vec<Lanes>,
@@ -61,28 +65,37 @@ struct Sensed {
 
 impl Sensed {
     #[allow(clippy::cast_possible_truncation)] // to single precision
-    fn set(&mut self, rays: impl Iterator<Item = (Point, f64)>) {
-        self.x.clear();
-        self.y.clear();
-        self.inverse_square.clear();
+    fn set(&mut self, scan: &Scan) {
+        self.points.clear();
+        self.points.extend(scan.rays().map(|(_, direction, range)| [(direction.x * range) as f32, (direction.y * range) as f32]));
+    }
+
+    #[inline(always)]
+    fn choose<S: Simd>(&mut self, simd: S, order: RayOrder) {
+        let blocks = self.points.len().div_ceil(LANES);
+        self.x.resize(blocks, [0.0; LANES]);
+        self.y.resize(blocks, [0.0; LANES]);
+        let (all_x, all_y) = (self.x.as_flattened_mut(), self.y.as_flattened_mut());
         self.len = 0;
-        let mut ranges = 0.0;
-        for (direction, range) in rays {
-            let point = direction * range;
-            let lane = self.len % LANES;
-            if lane == 0 {
-                self.x.push([1.0; LANES]);
-                self.y.push([0.0; LANES]);
-                self.inverse_square.push([0.0; LANES]);
-            }
-            let last = self.len / LANES;
-            self.x[last][lane] = point.x as f32;
-            self.y[last][lane] = point.y as f32;
-            self.inverse_square[last][lane] = (range * range).recip() as f32;
-            ranges += range;
+        for ((x, y), ray) in all_x.iter_mut().zip(&mut *all_y).zip(order.rays()) {
+            [*x, *y] = self.points[ray];
             self.len += 1;
         }
-        self.mean_range = ranges / self.len.max(1) as f64;
+        all_x[self.len..].fill(0.0);
+        all_y[self.len..].fill(0.0);
+        let blocks = self.len.div_ceil(LANES);
+        self.x.truncate(blocks);
+        self.y.truncate(blocks);
+        self.inverse_square.resize(blocks, [0.0; LANES]);
+        let mut ranges = f32x8::splat(simd, 0.0);
+        for ((x, y), inverse_square) in self.x.iter().zip(&self.y).zip(&mut self.inverse_square) {
+            let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
+            let square = x.mul_add(x, y * y);
+            ranges += square.sqrt();
+            (1.0 / square).store_slice(inverse_square);
+        }
+        self.inverse_square.as_flattened_mut()[self.len..].fill(0.0);
+        self.mean_range = f64::from(ranges.reduce_sum()) / self.len.max(1) as f64;
     }
 
     /// Rays that end near a surface, roughly.
@@ -91,7 +104,7 @@ impl Sensed {
         let mut agreeing = 0;
         for ((x, y), inverse_square) in self.x.iter().zip(&self.y).zip(&self.inverse_square) {
             let moved = onto.pair(simd, x, y);
-            let agrees = moved.error.abs().simd_lt(ROUGH_AGREEMENT) & moved.partners.found;
+            let agrees = moved.error.abs().simd_lt(ROUGH_AGREEMENT) & moved.partners.is_some(simd);
             let is_ray = f32x8::from_slice(simd, inverse_square).simd_gt(0.0);
             agreeing += (agrees & is_ray).to_bitmask().count_ones();
         }
@@ -104,55 +117,13 @@ impl Sensed {
     }
 }
 
-/// The surfaces that a block of rays is paired with.
-struct Partners<S: Simd> {
-    normal_x: f32x8<S>,
-    normal_y: f32x8<S>,
-    offset: f32x8<S>,
-    variance: f32x8<S>,
-    turn_variance: f32x8<S>,
-    found: mask32x8<S>,
-}
-
-impl<S: Simd> Partners<S> {
-    #[inline(always)]
-    #[allow(clippy::cast_sign_loss)] // the surfaces' indices
-    fn gather(simd: S, surfaces: &[Surface], beams: [i32; LANES]) -> Self {
-        let mut turn_variance = [0.0; LANES];
-        let mut row = |lane: usize| {
-            let Surface { normal: [x, y], offset, variance, turn_variance: turn } = surfaces[beams[lane] as usize];
-            turn_variance[lane] = turn;
-            f32x4::from_slice(simd, &[x, y, offset, variance])
-        };
-        let low = transposed([row(0), row(1), row(2), row(3)]);
-        let high = transposed([row(4), row(5), row(6), row(7)]);
-        let variance = low[3].combine(high[3]);
-        Self {
-            normal_x: low[0].combine(high[0]),
-            normal_y: low[1].combine(high[1]),
-            offset: low[2].combine(high[2]),
-            variance,
-            turn_variance: f32x8::from_slice(simd, &turn_variance),
-            found: variance.simd_lt(Surface::NONE.variance),
-        }
-    }
-}
-
-/// Rows from columns.
-#[inline(always)]
-fn transposed<S: Simd>([a, b, c, d]: [f32x4<S>; 4]) -> [f32x4<S>; 4] {
-    let (ac_low, bd_low) = (a.zip_low(c), b.zip_low(d));
-    let (ac_high, bd_high) = (a.zip_high(c), b.zip_high(d));
-    [ac_low.zip_low(bd_low), ac_low.zip_high(bd_low), ac_high.zip_low(bd_high), ac_high.zip_high(bd_high)]
-}
-
 /// A block of rays moved to a pose.
 struct Moved<S: Simd> {
     /// In the sensed scan's frame, m.
     point: [f32x8<S>; 2],
     /// Turned into the view's frame, but not shifted.
     turned: [f32x8<S>; 2],
-    partners: Partners<S>,
+    partners: Surfaces<S>,
     /// Signed distance from the partners, m.
     error: f32x8<S>,
 }
@@ -181,8 +152,9 @@ impl<'a> Onto<'a> {
         let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
         let turned = [x * self.cos - y * self.sin, x * self.sin + y * self.cos];
         let (moved_x, moved_y) = (turned[0] + self.x, turned[1] + self.y);
-        let partners = Partners::gather(simd, self.surfaces, self.bearings.beams(moved_x, moved_y));
-        let error = partners.normal_x * moved_x + partners.normal_y * moved_y - partners.offset;
+        let partners = Surfaces::gather(simd, self.surfaces, self.bearings.beams(moved_x, moved_y));
+        let [nx, ny] = partners.normal;
+        let error = nx.mul_add(moved_x, ny.mul_sub(moved_y, partners.offset));
         Moved { point: [x, y], turned, partners, error }
     }
 }
@@ -214,21 +186,17 @@ enum Sum {
     Count,
 }
 
-/// Sums over the pairs of one view, in its frame, by place and lane.
-struct Sums([Lanes; Sum::Count as usize]);
+/// Sums over the pairs of one view, in its frame, by place.
+struct Sums([f64; Sum::Count as usize]);
 
 impl Sums {
     fn of(&self, sum: Sum) -> f64 {
-        self.at(sum as usize)
-    }
-
-    fn at(&self, place: usize) -> f64 {
-        self.0[place].map(f64::from).iter().sum()
+        self.0[sum as usize]
     }
 
     fn form(&self, view_from_sensed: &Pose2) -> QuadraticForm {
-        let matrix = std::array::from_fn(|i| self.at(Sum::Matrix as usize + i));
-        let gradient = std::array::from_fn(|i| self.at(Sum::Gradient as usize + i));
+        let matrix = std::array::from_fn(|i| self.0[Sum::Matrix as usize + i]);
+        let gradient = std::array::from_fn(|i| self.0[Sum::Gradient as usize + i]);
         QuadraticForm::about(view_from_sensed, &matrix, &gradient, self.of(Sum::Squares))
     }
 }
@@ -308,45 +276,49 @@ impl Projective {
             let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, x, y);
             let inverse_square = f32x8::from_slice(simd, inverse_square);
             // The lanes past the last ray have none.
-            let found = partners.found & inverse_square.simd_gt(0.0);
-            let (nx, ny) = (partners.normal_x, partners.normal_y);
+            let found = partners.is_some(simd) & inverse_square.simd_gt(0.0);
+            let [nx, ny] = partners.normal;
             let facing = nx * turned[0] + ny * turned[1];
             let (squared, distance) = (error * error, error.abs());
             let variance = facing * facing * inverse_square + floor + partners.variance;
             let scale = variance * kernel_width;
-            let kernel = scale / (scale + squared);
+            let widened = scale + squared;
             let one = found.select(f32x8::splat(simd, 1.0), zero);
-            let by_variance = one / variance;
+            // Two divisions for the price of one.
+            let per_both = one / (variance * widened);
+            let (kernel, by_variance) = (scale * variance * per_both, widened * per_both);
             let weight = kernel * kernel * by_variance;
             let inlier = squared.simd_lt(scale).select(one, zero);
 
-            let mut add = |place: usize, value: f32x8<S>| sums[place] += value;
+            let mut add = |place: usize, factor: f32x8<S>, value: f32x8<S>| sums[place] = factor.mul_add(value, sums[place]);
             let a = [nx, ny, nx * px + ny * py, ny * px - nx * py];
             let mut place = Sum::Matrix as usize;
             for i in 0..4 {
                 let wa = weight * a[i];
-                add(Sum::Gradient as usize + i, wa * error);
+                add(Sum::Gradient as usize + i, wa, error);
                 for &aj in &a[i..] {
-                    add(place, wa * aj);
+                    add(place, wa, aj);
                     place += 1;
                 }
             }
-            add(Sum::Squares as usize, weight * squared);
-            add(Sum::Expected as usize, weight * variance);
-            add(Sum::Feigned as usize, weight * partners.turn_variance);
-            add(Sum::Excess as usize, weight * by_variance * (squared * per_square - variance));
-            add(Sum::ExcessWeights as usize, weight * by_variance);
-            add(Sum::Residuals as usize, inlier * distance);
-            add(Sum::Inliers as usize, inlier);
-            add(Sum::Pairs as usize, one);
+            let excess_weight = weight * by_variance;
+            add(Sum::Squares as usize, weight, squared);
+            add(Sum::Expected as usize, weight, variance);
+            add(Sum::Feigned as usize, weight, partners.turn_variance);
+            add(Sum::Excess as usize, excess_weight, squared.mul_sub(per_square, variance));
+            add(Sum::Residuals as usize, inlier, distance);
+            sums[Sum::ExcessWeights as usize] += excess_weight;
+            sums[Sum::Inliers as usize] += inlier;
+            sums[Sum::Pairs as usize] += one;
             let nearest = found.select(distance, f32x8::splat(simd, f32::INFINITY)).min(f32x8::from_slice(simd, distances));
             nearest.store_slice(distances);
         }
-        let mut lanes = [[0.0; LANES]; Sum::Count as usize];
-        for (lanes, sum) in lanes.iter_mut().zip(&sums) {
-            sum.store_slice(lanes);
+        let mut added = [0.0; Sum::Count as usize];
+        for (added, sum) in added.iter_mut().zip(sums) {
+            let (low, high) = sum.widen();
+            *added = (low + high).reduce_sum();
         }
-        Sums(lanes)
+        Sums(added)
     }
 
     /// The floor for the next pairs, and whether it has come to rest.
@@ -365,10 +337,8 @@ impl Projective {
         let information = 0.5 * self.form.linearize(pose).1;
         let coupling = information.fixed_view::<2, 1>(0, 2);
         let translation = information.fixed_view::<2, 2>(0, 0) - coupling * coupling.transpose() / information.m33;
-        let eigen = SymmetricEigen::new(Matrix2::from(translation));
-        let least = eigen.eigenvalues.imin();
-        let is_free = eigen.eigenvalues[least] < FEIGNED * self.totals.feigned;
-        is_free.then(|| eigen.eigenvectors.column(least).into_owned())
+        let eigen = SymmetricEigen::of(&Matrix2::from(translation));
+        (eigen.values.x < FEIGNED * self.totals.feigned).then_some(eigen.minor)
     }
 
     /// What holds the pose where the pairs do not.
@@ -404,9 +374,13 @@ impl Pairing for Projective {
             .map_or_else(QuadraticForm::default, |Prior { pose, covariance }| QuadraticForm::of_prior(&pose, &covariance, unit));
     }
 
-    fn choose_rays(&mut self, scan: &Scan, order: RayOrder) {
-        let chosen = scan.rays().enumerate().filter(|(i, _)| order.contains(*i));
-        self.sensed.set(chosen.map(|(_, (_, direction, range))| (direction, range)));
+    fn sense(&mut self, scan: &Scan) {
+        self.sensed.set(scan);
+    }
+
+    fn choose_rays(&mut self, order: RayOrder) {
+        let level = self.level;
+        dispatch!(level, simd => self.sensed.choose(simd, order));
     }
 
     fn rays(&self) -> usize {
@@ -494,8 +468,8 @@ impl Pairing for Projective {
             for point in self.sensed.points() {
                 let seen = view_from_sensed.apply(point);
                 let surface = &surfaces[bearings.beam(&seen)];
-                let normal = Point::new(surface.normal[0].into(), surface.normal[1].into());
-                let error = normal.dot(&seen) - f64::from(surface.offset);
+                let normal = Point::from(surface.normal().map(f64::from));
+                let error = normal.dot(&seen) - f64::from(surface.offset());
                 if !surface.is_none() && error.abs() < f64::from(AGREEMENT) {
                     points.push((back.apply(seen), back.apply(seen - normal * error)));
                 }
