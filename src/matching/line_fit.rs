@@ -57,6 +57,7 @@ impl<T: Copy + Default> Padded<T> {
     }
 
     /// The numbers from `ray` on, with some of the padding: whole blocks.
+    #[inline(always)]
     fn block(&mut self, ray: usize) -> &mut [T] {
         &mut self.0[LONGEST + ray..LONGEST + ray + LANES]
     }
@@ -87,12 +88,11 @@ impl Rays {
     #[allow(clippy::cast_possible_truncation)] // to single precision, and at most 10 000 beams
     fn set(&mut self, scan: &Scan) {
         let len = scan.valid_len();
-        self.beams.clear();
+        self.beams.resize(len, 0);
         let [vx, vy] = self.directions.each_mut().map(|padded| padded.resize(len));
-        let measured = self.ranges.resize(len).iter_mut().zip(vx).zip(vy);
-        for (((own_range, vx), vy), (beam, direction, range)) in measured.zip(scan.rays()) {
-            self.beams.push(beam as u32);
-            (*own_range, *vx, *vy) = (range as f32, direction.x as f32, direction.y as f32);
+        let measured = self.beams.iter_mut().zip(self.ranges.resize(len)).zip(vx).zip(vy);
+        for ((((own_beam, own_range), vx), vy), (beam, direction, range)) in measured.zip(scan.rays()) {
+            (*own_beam, *own_range, *vx, *vy) = (beam as u32, range as f32, direction.x as f32, direction.y as f32);
         }
     }
 
@@ -299,11 +299,13 @@ struct Stretch<T> {
 }
 
 impl<T: Copy> Stretch<T> {
+    #[inline(always)]
     fn into_array(self) -> [T; 8] {
         let Self { middle, per_ray, normal, offset, excess, mean, turn } = self;
         [middle, per_ray, normal[0], normal[1], offset, excess, mean, turn]
     }
 
+    #[inline(always)]
     fn from_array([middle, per_ray, x, y, offset, excess, mean, turn]: [T; 8]) -> Self {
         Self { middle, per_ray, normal: [x, y], offset, excess, mean, turn }
     }

@@ -22,6 +22,11 @@ impl RayOrder {
         Self { shift: u64::BITS - places.trailing_zeros(), limit, stride, total }
     }
 
+    /// Whether it is the whole order.
+    pub(super) fn is_all(self) -> bool {
+        self.stride == 1 && self.limit.is_power_of_two()
+    }
+
     /// The rays in it, ascending.
     #[inline]
     pub(super) fn rays(self) -> impl Iterator<Item = usize> {

@@ -54,8 +54,7 @@ pub(super) struct Surfaces<S: Simd> {
 impl<S: Simd> Surfaces<S> {
     /// Those of some beams.
     #[inline(always)]
-    #[allow(clippy::cast_sign_loss)] // indices
-    pub(super) fn gather(simd: S, surfaces: &[Surface], beams: [i32; LANES]) -> Self {
+    pub(super) fn gather(simd: S, surfaces: &[Surface], beams: [u32; LANES]) -> Self {
         let row = |lane: usize| f32x4::from_slice(simd, &surfaces[beams[lane] as usize].0);
         let low = transposed([row(0), row(1), row(2), row(3)]);
         let high = transposed([row(4), row(5), row(6), row(7)]);

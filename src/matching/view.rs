@@ -3,9 +3,9 @@
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::f64::consts::TAU;
 
-use fearless_simd::{Simd, f32x8, i32x8, prelude::*};
+use fearless_simd::{Simd, f32x8, i32x8, prelude::*, u32x8};
 
-use super::surface::Surface;
+use super::surface::{LANES, Surface};
 use crate::geometry::Point;
 use crate::scan::Scan;
 
@@ -94,10 +94,10 @@ pub(super) struct Bearings {
 impl Bearings {
     /// The beams that look towards points, next to it at least; past the last one where none does.
     #[inline(always)]
-    pub(super) fn beams<S: Simd>(&self, x: f32x8<S>, y: f32x8<S>) -> [i32; 8] {
+    pub(super) fn beams<S: Simd>(&self, x: f32x8<S>, y: f32x8<S>) -> [u32; LANES] {
         let offset = (angle(x, y) - self.angle_min) * self.per_radian + 0.5;
         let offset = offset - (offset * self.per_turn).floor() * self.turn;
-        offset.max(0.0).min(self.beams).to_int::<i32x8<S>>().into()
+        offset.max(0.0).min(self.beams).to_int::<i32x8<S>>().bitcast::<u32x8<S>>().into()
     }
 
     /// The beam that looks towards one point.
@@ -135,7 +135,7 @@ mod tests {
     use crate::scan::BeamGeometry;
     use crate::time::Stamp;
 
-    fn beams_at(view: &View, point: &Point) -> [i32; 8] {
+    fn beams_at(view: &View, point: &Point) -> [u32; LANES] {
         let bearings = view.bearings();
         let (x, y) = (point.x as f32, point.y as f32);
         dispatch!(Level::new(), simd => bearings.beams(f32x8::splat(simd, x), f32x8::splat(simd, y)))
@@ -151,7 +151,7 @@ mod tests {
             let view = View::bare(scan);
             for (i, point) in view.points().enumerate() {
                 assert_eq!(view.bearings().beam(&point), i, "{angle_min} {increment}");
-                assert_eq!(beams_at(&view, &point), [i32::try_from(i).unwrap(); 8], "{angle_min} {increment}");
+                assert_eq!(beams_at(&view, &point), [u32::try_from(i).unwrap(); LANES], "{angle_min} {increment}");
             }
         }
     }
@@ -165,6 +165,6 @@ mod tests {
         let view = View::new(scan, surfaces);
         let out_of_sight = Point::new(-1.0, 0.1);
         assert!(view.surfaces()[view.bearings().beam(&out_of_sight)].is_none());
-        assert!(view.surfaces()[usize::try_from(beams_at(&view, &out_of_sight)[0]).unwrap()].is_none());
+        assert!(view.surfaces()[beams_at(&view, &out_of_sight)[0] as usize].is_none());
     }
 }

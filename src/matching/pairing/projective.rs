@@ -51,69 +51,95 @@ type Lanes = [f32; LANES];
 #[derive(Debug, Default)]
 struct Sensed {
     /// All of them, m.
-    points: Vec<[f32; 2]>,
-    /// Number of those that take part.
-    len: usize,
-    /// m.
-    x: Vec<Lanes>,
-    /// m.
-    y: Vec<Lanes>,
-    /// One by the squared range, 1/m^2; 0 past the last ray.
+    points: Points,
+    /// Those that take part, m.
+    chosen: Points,
+    /// One by the squared ranges of those, 1/m^2; 0 past the last ray.
     inverse_square: Vec<Lanes>,
     mean_range: f64,
+}
+
+/// Points by coordinate, and zeros past the last.
+#[derive(Debug, Default)]
+struct Points {
+    len: usize,
+    x: Vec<Lanes>,
+    y: Vec<Lanes>,
+}
+
+impl Points {
+    /// Takes over points, of which there are as many at most.
+    #[inline(always)]
+    fn set(&mut self, at_most: usize, points: impl Iterator<Item = [f32; 2]>) {
+        self.resize(at_most);
+        let (all_x, all_y) = (self.x.as_flattened_mut(), self.y.as_flattened_mut());
+        self.len = 0;
+        for ((x, y), point) in all_x.iter_mut().zip(&mut *all_y).zip(points) {
+            [*x, *y] = point;
+            self.len += 1;
+        }
+        all_x[self.len..].fill(0.0);
+        all_y[self.len..].fill(0.0);
+        self.resize(self.len);
+    }
+
+    fn resize(&mut self, len: usize) {
+        self.x.resize(len.div_ceil(LANES), [0.0; LANES]);
+        self.y.resize(len.div_ceil(LANES), [0.0; LANES]);
+    }
+
+    fn blocks(&self) -> impl Iterator<Item = (&Lanes, &Lanes)> {
+        self.x.iter().zip(&self.y)
+    }
+
+    fn iter(&self) -> impl Iterator<Item = [f32; 2]> {
+        let (x, y) = (self.x.as_flattened(), self.y.as_flattened());
+        x.iter().zip(y).map(|(&x, &y)| [x, y]).take(self.len)
+    }
 }
 
 impl Sensed {
     #[allow(clippy::cast_possible_truncation)] // to single precision
     fn set(&mut self, scan: &Scan) {
-        self.points.clear();
-        self.points.extend(scan.rays().map(|(_, direction, range)| [(direction.x * range) as f32, (direction.y * range) as f32]));
+        let points = scan.rays().map(|(_, direction, range)| [(direction.x * range) as f32, (direction.y * range) as f32]);
+        self.points.set(scan.valid_len(), points);
     }
 
     #[inline(always)]
     fn choose<S: Simd>(&mut self, simd: S, order: RayOrder) {
-        let blocks = self.points.len().div_ceil(LANES);
-        self.x.resize(blocks, [0.0; LANES]);
-        self.y.resize(blocks, [0.0; LANES]);
-        let (all_x, all_y) = (self.x.as_flattened_mut(), self.y.as_flattened_mut());
-        self.len = 0;
-        for ((x, y), ray) in all_x.iter_mut().zip(&mut *all_y).zip(order.rays()) {
-            [*x, *y] = self.points[ray];
-            self.len += 1;
+        let Points { len, x, y } = &self.points;
+        if order.is_all() {
+            self.chosen.len = *len;
+            self.chosen.x.clone_from(x);
+            self.chosen.y.clone_from(y);
+        } else {
+            let (x, y) = (x.as_flattened(), y.as_flattened());
+            self.chosen.set(*len, order.rays().map(|ray| [x[ray], y[ray]]));
         }
-        all_x[self.len..].fill(0.0);
-        all_y[self.len..].fill(0.0);
-        let blocks = self.len.div_ceil(LANES);
-        self.x.truncate(blocks);
-        self.y.truncate(blocks);
-        self.inverse_square.resize(blocks, [0.0; LANES]);
+        let len = self.chosen.len;
+        self.inverse_square.resize(len.div_ceil(LANES), [0.0; LANES]);
         let mut ranges = f32x8::splat(simd, 0.0);
-        for ((x, y), inverse_square) in self.x.iter().zip(&self.y).zip(&mut self.inverse_square) {
+        for ((x, y), inverse_square) in self.chosen.blocks().zip(&mut self.inverse_square) {
             let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
             let square = x.mul_add(x, y * y);
             ranges += square.sqrt();
             (1.0 / square).store_slice(inverse_square);
         }
-        self.inverse_square.as_flattened_mut()[self.len..].fill(0.0);
-        self.mean_range = f64::from(ranges.reduce_sum()) / self.len.max(1) as f64;
+        self.inverse_square.as_flattened_mut()[len..].fill(0.0);
+        self.mean_range = f64::from(ranges.reduce_sum()) / len.max(1) as f64;
     }
 
     /// Rays that end near a surface, roughly.
     #[inline(always)]
     fn score<S: Simd>(&self, simd: S, onto: &Onto) -> u32 {
         let mut agreeing = 0;
-        for ((x, y), inverse_square) in self.x.iter().zip(&self.y).zip(&self.inverse_square) {
+        for ((x, y), inverse_square) in self.chosen.blocks().zip(&self.inverse_square) {
             let moved = onto.pair(simd, x, y);
             let agrees = moved.error.abs().simd_lt(ROUGH_AGREEMENT) & moved.partners.is_some(simd);
             let is_ray = f32x8::from_slice(simd, inverse_square).simd_gt(0.0);
             agreeing += (agrees & is_ray).to_bitmask().count_ones();
         }
         agreeing
-    }
-
-    fn points(&self) -> impl Iterator<Item = Point> + '_ {
-        let of_block = |(x, y): (&Lanes, &Lanes)| (0..LANES).map(|l| Point::new(x[l].into(), y[l].into())).collect::<Vec<_>>();
-        self.x.iter().zip(&self.y).flat_map(of_block).take(self.len)
     }
 }
 
@@ -271,7 +297,7 @@ impl Projective {
         let floor = self.floor as f32;
         let zero = f32x8::splat(simd, 0.0);
         let mut sums = [zero; Sum::Count as usize];
-        let sensed = self.sensed.x.iter().zip(&self.sensed.y).zip(&self.sensed.inverse_square);
+        let sensed = self.sensed.chosen.blocks().zip(&self.sensed.inverse_square);
         for (((x, y), inverse_square), distances) in sensed.zip(&mut self.distances) {
             let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, x, y);
             let inverse_square = f32x8::from_slice(simd, inverse_square);
@@ -384,7 +410,7 @@ impl Pairing for Projective {
     }
 
     fn rays(&self) -> usize {
-        self.sensed.len
+        self.sensed.chosen.len
     }
 
     fn pair(&mut self, pose: &Pose2, _metric: Metric) -> Option<Pairs> {
@@ -392,7 +418,7 @@ impl Pairing for Projective {
             return None;
         }
         self.distances.clear();
-        self.distances.resize(self.sensed.x.len(), [f32::INFINITY; LANES]);
+        self.distances.resize(self.sensed.inverse_square.len(), [f32::INFINITY; LANES]);
         (self.form, self.totals) = (QuadraticForm::default(), Totals::default());
         for view in 0..self.views.len() {
             let reference_from_view = self.views[view].reference_from_view;
@@ -403,7 +429,7 @@ impl Pairing for Projective {
             self.totals.add(&sums);
         }
         // A ray that several views have surfaces for is no better known than one: its own noise is the same for all.
-        let views_per_ray = (self.totals.pairs / self.sensed.len.max(1) as f64).max(1.0);
+        let views_per_ray = (self.totals.pairs / self.sensed.chosen.len.max(1) as f64).max(1.0);
         self.form = self.form.scaled(views_per_ray.recip());
         self.totals.feigned /= views_per_ray;
         let mut form = self.form;
@@ -424,7 +450,7 @@ impl Pairing for Projective {
         let noise = self.totals.squares / self.totals.expected.max(f64::MIN_POSITIVE);
         let reference_rays: usize = self.views.iter().map(|placed| placed.view.scan().valid_len()).sum();
         // What the sensed rays that take part add of noise, the reference's have added to the surfaces, all of them.
-        let both = 1.0 + self.sensed.len as f64 / reference_rays.max(1) as f64;
+        let both = 1.0 + self.sensed.chosen.len as f64 / reference_rays.max(1) as f64;
         let free_direction = self.free_direction(pose);
         let information = 0.5 * self.form.linearize(pose).1;
         let mut with_prior = self.form;
@@ -465,8 +491,8 @@ impl Pairing for Projective {
             let view_from_sensed = placed.reference_from_view.between(pose).transform();
             let back = placed.reference_from_view.transform();
             let (bearings, surfaces) = (placed.view.bearings(), placed.view.surfaces());
-            for point in self.sensed.points() {
-                let seen = view_from_sensed.apply(point);
+            for point in self.sensed.chosen.iter() {
+                let seen = view_from_sensed.apply(point.map(f64::from).into());
                 let surface = &surfaces[bearings.beam(&seen)];
                 let normal = Point::from(surface.normal().map(f64::from));
                 let error = normal.dot(&seen) - f64::from(surface.offset());
