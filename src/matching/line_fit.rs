@@ -430,7 +430,7 @@ impl LineFitter {
             for neighbour in NEIGHBOURS {
                 met = met.or(rays.on(simd, &windows, LONGEST - neighbour)).or(rays.on(simd, &windows, LONGEST + neighbour));
             }
-            met.turn_variance = met.turn_variance * (noise / (LEVER * LEVER));
+            met.turn_variance *= noise / (LEVER * LEVER);
             met.scatter(simd, surfaces, beams);
         }
     }

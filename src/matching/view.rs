@@ -111,7 +111,7 @@ impl Bearings {
 /// Angles of vectors, rad: Abramowitz and Stegun 4.4.47, to 1e-5, a fiftieth of what lies between 10 000 beams.
 #[inline(always)]
 fn angle<S: Simd>(x: f32x8<S>, y: f32x8<S>) -> f32x8<S> {
-    const COEFFICIENTS: [f32; 5] = [0.020_835_1, -0.085_133_0, 0.180_141_0, -0.330_299_5, 0.999_866_0];
+    const COEFFICIENTS: [f32; 5] = [0.020_835_1, -0.085_133, 0.180_141, -0.330_299_5, 0.999_866];
     let (width, height) = (x.abs(), y.abs());
     let is_steep = height.simd_gt(width);
     let slope = width.min(height) / width.max(height).max(f32::MIN_POSITIVE);
