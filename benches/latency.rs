@@ -21,10 +21,9 @@ const BEAMS: usize = 2_000_000;
 
 fn main() {
     println!("             matcher  beams  pairs |  median     p99  ratio | fastest of {ROUNDS}: median     p99  ratio   [us]");
-    for (name, correspondence, with_covariance) in [
-        ("covariance included", Correspondence::Projective, true),
-        ("classic, without", Correspondence::JumpTable, false),
-    ] {
+    for (name, correspondence, with_covariance) in
+        [("covariance included", Correspondence::Projective, true), ("classic, without", Correspondence::JumpTable, false)]
+    {
         for (degrees, beams) in LASERS {
             let knobs = MatchingKnobs { correspondence, ..MatchingKnobs::default() };
             let pairs = (BEAMS / beams).min(2000);

@@ -54,7 +54,7 @@ pub(super) struct Surfaces<S: Simd> {
 impl<S: Simd> Surfaces<S> {
     /// Those of some beams.
     #[inline(always)]
-    pub(super) fn gather(simd: S, surfaces: &[Surface], beams: [u32; LANES]) -> Self {
+    pub(super) fn gather(simd: S, surfaces: &[Surface], beams: &[u32; LANES]) -> Self {
         let row = |lane: usize| f32x4::from_slice(simd, &surfaces[beams[lane] as usize].0);
         let low = transposed([row(0), row(1), row(2), row(3)]);
         let high = transposed([row(4), row(5), row(6), row(7)]);
@@ -122,7 +122,7 @@ mod tests {
         let all = Surfaces { normal: [lanes(0.0), lanes(10.0)], offset: lanes(20.0), variance, turn_variance };
         let mut surfaces = vec![Surface::NONE; 9];
         all.scatter(simd, &mut surfaces, &[8, 7, 6, 5, 4, 3, 2]);
-        let back = Surfaces::gather(simd, &surfaces, [8, 7, 6, 5, 4, 3, 2, 1]);
+        let back = Surfaces::gather(simd, &surfaces, &[8, 7, 6, 5, 4, 3, 2, 1]);
         assert!((back.turn_variance[1] - 3e-5).abs() < 3e-7 && (back.variance[1] - variance[1]).abs() < 0.01 * variance[1]);
         surfaces
     }

@@ -134,7 +134,7 @@ impl Sensed {
     fn score<S: Simd>(&self, simd: S, onto: &Onto) -> u32 {
         let mut agreeing = 0;
         for ((x, y), inverse_square) in self.chosen.blocks().zip(&self.inverse_square) {
-            let moved = onto.pair(simd, x, y);
+            let moved = onto.pair(simd, x, y, &onto.beams(simd, x, y));
             let agrees = moved.error.abs().simd_lt(ROUGH_AGREEMENT) & moved.partners.is_some(simd);
             let is_ray = f32x8::from_slice(simd, inverse_square).simd_gt(0.0);
             agreeing += (agrees & is_ray).to_bitmask().count_ones();
@@ -172,13 +172,25 @@ impl<'a> Onto<'a> {
         Self { surfaces: view.surfaces(), bearings: view.bearings(), cos, sin, x, y }
     }
 
-    /// The rays of a block, each with its partner.
+    /// Which beams look where the rays of a block end.
     #[inline(always)]
-    fn pair<S: Simd>(&self, simd: S, x: &Lanes, y: &Lanes) -> Moved<S> {
+    fn beams<S: Simd>(&self, simd: S, x: &Lanes, y: &Lanes) -> [u32; LANES] {
+        let [x, y] = self.turn(f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
+        self.bearings.beams(x + self.x, y + self.y)
+    }
+
+    #[inline(always)]
+    fn turn<S: Simd>(&self, x: f32x8<S>, y: f32x8<S>) -> [f32x8<S>; 2] {
+        [x * self.cos - y * self.sin, x * self.sin + y * self.cos]
+    }
+
+    /// The rays of a block, each with what its beam met.
+    #[inline(always)]
+    fn pair<S: Simd>(&self, simd: S, x: &Lanes, y: &Lanes, beams: &[u32; LANES]) -> Moved<S> {
         let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
-        let turned = [x * self.cos - y * self.sin, x * self.sin + y * self.cos];
+        let turned = self.turn(x, y);
         let (moved_x, moved_y) = (turned[0] + self.x, turned[1] + self.y);
-        let partners = Surfaces::gather(simd, self.surfaces, self.bearings.beams(moved_x, moved_y));
+        let partners = Surfaces::gather(simd, self.surfaces, beams);
         let [nx, ny] = partners.normal;
         let error = nx.mul_add(moved_x, ny.mul_sub(moved_y, partners.offset));
         Moved { point: [x, y], turned, partners, error }
@@ -266,6 +278,8 @@ pub(in crate::matching) struct Projective {
     floor: f64,
     /// Distance of each ray from the nearest surface that it is paired with, m.
     distances: Vec<Lanes>,
+    /// Beams of a view that look where the rays end.
+    beams: Vec<[u32; LANES]>,
     form: QuadraticForm,
     totals: Totals,
 }
@@ -282,6 +296,7 @@ impl Projective {
             prior: QuadraticForm::default(),
             floor: LEAST_FLOOR,
             distances: Vec::new(),
+            beams: Vec::new(),
             form: QuadraticForm::default(),
             totals: Totals::default(),
         }
@@ -297,9 +312,13 @@ impl Projective {
         let floor = self.floor as f32;
         let zero = f32x8::splat(simd, 0.0);
         let mut sums = [zero; Sum::Count as usize];
+        // Beforehand: as one loop, every step would wait for the one before, and a processor sees too little ahead to do others meanwhile.
+        for ((x, y), beams) in self.sensed.chosen.blocks().zip(&mut self.beams) {
+            *beams = onto.beams(simd, x, y);
+        }
         let sensed = self.sensed.chosen.blocks().zip(&self.sensed.inverse_square);
-        for (((x, y), inverse_square), distances) in sensed.zip(&mut self.distances) {
-            let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, x, y);
+        for ((((x, y), inverse_square), distances), beams) in sensed.zip(&mut self.distances).zip(&self.beams) {
+            let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, x, y, beams);
             let inverse_square = f32x8::from_slice(simd, inverse_square);
             // The lanes past the last ray have none.
             let found = partners.is_some(simd) & inverse_square.simd_gt(0.0);
@@ -419,6 +438,7 @@ impl Pairing for Projective {
         }
         self.distances.clear();
         self.distances.resize(self.sensed.inverse_square.len(), [f32::INFINITY; LANES]);
+        self.beams.resize(self.sensed.inverse_square.len(), [0; LANES]);
         (self.form, self.totals) = (QuadraticForm::default(), Totals::default());
         for view in 0..self.views.len() {
             let reference_from_view = self.views[view].reference_from_view;
