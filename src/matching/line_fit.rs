@@ -9,7 +9,7 @@
 
 use fearless_simd::{Level, dispatch, f32x8, f64x4, prelude::*};
 
-use super::view::Surface;
+use super::surface::{LANES, Surface, Surfaces};
 use crate::scan::Scan;
 
 /// Rays to either side of its middle that the longest stretch has. The others have half as many as the next longer one.
@@ -19,16 +19,15 @@ const NEIGHBOURS: [usize; 6] = [1, 2, 4, 8, 16, LONGEST - 1];
 /// A point farther from a line than this many standard deviations is not on it.
 const FARTHEST: f32 = 3.0;
 /// What is more uneven is no surface: standard deviation, m.
-const ROUGHEST: f64 = 0.1;
+const ROUGHEST: f32 = 0.1;
 /// Points are paired with a surface up to so far along it from the place that it was fitted at, m: the lever of its direction's error.
-const LEVER: f64 = 0.05;
+const LEVER: f32 = 0.05;
 
 /// Few rays lie on a line by chance, and seem sure. Stretches are compared as if they had erred by so much more, in all: of a long one
 /// each ray's share is small. With less, noise that is greater than assumed leads to lines through three rays.
-const DOUBT: f64 = 40.0;
+const DOUBT: f32 = 40.0;
 
-/// Rays that are handled at a time, in single precision and in double.
-const LANES: usize = 8;
+/// Rays that are handled at a time in double precision.
 const HALF: usize = LANES / 2;
 /// By how much padded numbers are more than the rays.
 const PADDING: usize = 2 * LONGEST + LANES + 1;
@@ -58,6 +57,7 @@ impl<T: Copy + Default> Padded<T> {
     }
 
     /// The numbers from `ray` on, with some of the padding: whole blocks.
+    #[inline(always)]
     fn block(&mut self, ray: usize) -> &mut [T] {
         &mut self.0[LONGEST + ray..LONGEST + ray + LANES]
     }
@@ -72,56 +72,88 @@ impl<T: Copy + Default> Padded<T> {
 /// The rays of a scan that carry a measurement.
 #[derive(Debug, Default)]
 struct Rays {
-    beams: Vec<usize>,
+    beams: Vec<u32>,
+    /// m.
+    ranges: Padded<f32>,
     /// Unit vectors, by coordinate.
-    directions: [Padded<f64>; 2],
+    directions: [Padded<f32>; 2],
     /// Where the rays end, by coordinate, m.
-    points: [Padded<f64>; 2],
+    points: [Padded<f32>; 2],
     /// Sums over the rays before each: of `w v v'` (xx, xy, yy), `w v / r` (x, y) and `w / r^2`, with `w = r^4`.
     sums: [Padded<f64>; 6],
 }
 
 impl Rays {
+    /// Takes over the measurements.
+    #[allow(clippy::cast_possible_truncation)] // to single precision, and at most 10 000 beams
     fn set(&mut self, scan: &Scan) {
-        self.beams.clear();
         let len = scan.valid_len();
+        self.beams.resize(len, 0);
         let [vx, vy] = self.directions.each_mut().map(|padded| padded.resize(len));
-        let [x, y] = self.points.each_mut().map(|padded| padded.resize(len));
-        let [xx, xy, yy, sx, sy, squares] = self.sums.each_mut().map(|padded| padded.resize(len + 1));
-        let mut sum = [0.0; 6];
-        for (i, (beam, direction, range)) in scan.rays().enumerate().take(len) {
-            let point = direction * range;
-            self.beams.push(beam);
-            (vx[i], vy[i], x[i], y[i]) = (direction.x, direction.y, point.x, point.y);
-            let (square_x, square_y) = (point.x * point.x, point.y * point.y);
-            let square = square_x + square_y;
-            let terms =
-                [square * square_x, square * point.x * point.y, square * square_y, square * point.x, square * point.y, square];
-            sum = std::array::from_fn(|k| sum[k] + terms[k]);
-            [xx[i + 1], xy[i + 1], yy[i + 1], sx[i + 1], sy[i + 1], squares[i + 1]] = sum;
+        let measured = self.beams.iter_mut().zip(self.ranges.resize(len)).zip(vx).zip(vy);
+        for ((((own_beam, own_range), vx), vy), (beam, direction, range)) in measured.zip(scan.rays()) {
+            (*own_beam, *own_range, *vx, *vy) = (beam as u32, range as f32, direction.x as f32, direction.y as f32);
         }
-        self.sums.iter_mut().chain(&mut self.points).chain(&mut self.directions).for_each(Padded::repeat_ends);
+    }
+
+    /// Adds up.
+    #[inline(always)]
+    fn sum<S: Simd>(&mut self, simd: S) {
+        let len = self.beams.len();
+        for points in &mut self.points {
+            points.resize(len);
+        }
+        for sums in &mut self.sums {
+            sums.resize(len + 1);
+        }
+        let mut before = [f64x4::splat(simd, 0.0); 6];
+        for first in (0..len).step_by(LANES) {
+            let range = f32x8::from_slice(simd, self.ranges.block(first));
+            let [vx, vy] = &mut self.directions;
+            let (x, y) = (f32x8::from_slice(simd, vx.block(first)) * range, f32x8::from_slice(simd, vy.block(first)) * range);
+            x.store_slice(self.points[0].block(first));
+            y.store_slice(self.points[1].block(first));
+            let ((x_low, x_high), (y_low, y_high)) = (x.widen(), y.widen());
+            for (half, (x, y)) in [(x_low, y_low), (x_high, y_high)].into_iter().enumerate() {
+                let (square_x, square_y) = (x * x, y * y);
+                let square = square_x + square_y;
+                let terms = [square * square_x, square * x * y, square * square_y, square * x, square * y, square];
+                for ((before, term), sums) in before.iter_mut().zip(terms).zip(&mut self.sums) {
+                    let running = running_sum(term) + *before;
+                    running.store_slice(&mut sums.block(first + 1)[half * HALF..][..HALF]);
+                    *before = f64x4::splat(simd, running[HALF - 1]);
+                }
+            }
+        }
+        for sums in &mut self.sums {
+            sums.0[LONGEST] = 0.0;
+            sums.repeat_ends();
+        }
+        self.points.iter_mut().for_each(Padded::repeat_ends);
     }
 }
 
-/// Rays taken to be on one line each, lane by lane.
+/// The sum of each lane and all before it.
+#[inline(always)]
+fn running_sum<S: Simd>(terms: f64x4<S>) -> f64x4<S> {
+    let zero = f64x4::splat(terms.token(), 0.0);
+    let pairs = terms + zero.slide::<3>(terms);
+    pairs + zero.slide::<2>(pairs)
+}
+
+/// Rays taken to be on one line each, lane by lane. Variances are in units of the noise's.
 #[derive(Clone, Copy)]
 struct Fit<S: Simd> {
-    /// Index of the first ray, and of the one after the last.
-    start: f64x4<S>,
-    end: f64x4<S>,
+    /// Rays to either side of the middle.
+    reach: f32x8<S>,
     /// `n/d`.
-    inverse: [f64x4<S>; 2],
-    /// Mean squared range error about the line beyond the noise's: what is uneven. In units of the noise's variance, as all that follows.
-    excess: f64x4<S>,
-    /// Variance of the line's place in its middle, as a range.
-    mean: f64x4<S>,
-    /// Variance of its direction, rad^2.
-    turn: f64x4<S>,
-    /// Variance of a point's distance from it; infinite where it is no surface.
-    variance: f64x4<S>,
-    /// The same with [`DOUBT`], to compare.
-    doubted: f64x4<S>,
+    inverse: [f32x8<S>; 2],
+    /// Mean squared range error about the line.
+    observed: f32x8<S>,
+    /// See [`Stretch`].
+    turn: f32x8<S>,
+    /// Variance of a point's distance from the line, with [`DOUBT`], to compare; infinite where it is no surface.
+    doubted: f32x8<S>,
 }
 
 impl<S: Simd> Fit<S> {
@@ -129,94 +161,126 @@ impl<S: Simd> Fit<S> {
     #[inline(always)]
     fn or(self, other: Self) -> Self {
         let surer = other.doubted.simd_lt(self.doubted);
-        let either = |other: f64x4<S>, own: f64x4<S>| surer.select(other, own);
+        let either = |other: f32x8<S>, own: f32x8<S>| surer.select(other, own);
         Self {
-            start: either(other.start, self.start),
-            end: either(other.end, self.end),
+            reach: either(other.reach, self.reach),
             inverse: [either(other.inverse[0], self.inverse[0]), either(other.inverse[1], self.inverse[1])],
-            excess: either(other.excess, self.excess),
-            mean: either(other.mean, self.mean),
+            observed: either(other.observed, self.observed),
             turn: either(other.turn, self.turn),
-            variance: either(other.variance, self.variance),
             doubted: either(other.doubted, self.doubted),
-        }
-    }
-
-    #[inline(always)]
-    fn stretch(self) -> Stretch<f64x4<S>> {
-        let offset = 1.0 / (self.inverse[0] * self.inverse[0] + self.inverse[1] * self.inverse[1]).sqrt();
-        let infinite = f64x4::splat(offset.token(), f64::INFINITY);
-        Stretch {
-            middle: (self.start + self.end - 1.0) * 0.5,
-            per_ray: 2.0 / (self.end - self.start),
-            normal: [self.inverse[0] * offset, self.inverse[1] * offset],
-            offset,
-            excess: self.excess,
-            mean: self.mean,
-            turn: self.variance.simd_lt(f64::INFINITY).select(self.turn, infinite),
         }
     }
 }
 
 /// What is around some rays.
-struct Around<'a> {
-    directions: [&'a Window<f64>; 2],
-    points: [&'a Window<f64>; 2],
+struct Around<'a, S: Simd> {
+    directions: [&'a Window<f32>; 2],
+    points: [&'a Window<f32>; 2],
     sums: [&'a Window<f64>; 6],
-    /// Index of the first of the rays, and number of rays in all.
-    first: f64,
-    len: f64,
-    /// Standard deviation of a range, m.
-    noise: f64,
+    /// Index of each.
+    index: f32x8<S>,
+    /// Number of rays in all.
+    len: f32,
+    /// Variance of a range, m^2.
+    noise: f32,
 }
 
-impl Around<'_> {
-    /// The surest lines that have the rays from `lane` on in their middles.
+impl<S: Simd> Around<'_, S> {
+    /// The surest stretches that have the rays in their middles.
     #[inline(always)]
-    fn best<S: Simd>(&self, simd: S, lane: usize) -> Fit<S> {
-        self.fit::<S, 1>(simd, lane)
-            .or(self.fit::<S, 2>(simd, lane))
-            .or(self.fit::<S, 4>(simd, lane))
-            .or(self.fit::<S, 8>(simd, lane))
-            .or(self.fit::<S, 16>(simd, lane))
-            .or(self.fit::<S, LONGEST>(simd, lane))
+    fn best(&self, simd: S) -> Stretch<f32x8<S>> {
+        let fit = self
+            .fit::<1>(simd)
+            .or(self.fit::<2>(simd))
+            .or(self.fit::<4>(simd))
+            .or(self.fit::<8>(simd))
+            .or(self.fit::<16>(simd))
+            .or(self.fit::<LONGEST>(simd));
+        let (start, end) = self.ends(fit.reach);
+        let [x, y] = fit.inverse;
+        let offset = 1.0 / x.mul_add(x, y * y).sqrt();
+        let infinite = f32x8::splat(simd, f32::INFINITY);
+        Stretch {
+            middle: (start + end - 1.0) * 0.5,
+            per_ray: 2.0 / (end - start),
+            normal: [x * offset, y * offset],
+            offset,
+            excess: excess(fit.observed),
+            mean: fit.observed.max(1.0) / (end - start),
+            turn: fit.doubted.simd_lt(infinite).select(fit.turn, infinite),
+        }
+    }
+
+    /// Indices of the first rays of stretches, and of those after the last.
+    #[inline(always)]
+    fn ends(&self, reach: f32x8<S>) -> (f32x8<S>, f32x8<S>) {
+        ((self.index - reach).max(0.0), (self.index + reach + 1.0).min(self.len))
+    }
+
+    /// One by the rays up to `REACH` to either side that a line's two numbers leave over, and one by all of them.
+    #[inline(always)]
+    fn shares<const REACH: usize>(&self, simd: S) -> (f32x8<S>, f32x8<S>) {
+        let (reach, rays) = (REACH as f32, (2 * REACH + 1) as f32);
+        if self.index[0] >= reach && self.index[LANES - 1] + reach < self.len {
+            return (f32x8::splat(simd, 1.0 / (rays - 2.0)), f32x8::splat(simd, 1.0 / rays));
+        }
+        let (start, end) = self.ends(f32x8::splat(simd, reach));
+        let rays = end - start;
+        (1.0 / (rays - 2.0), 1.0 / rays)
     }
 
     /// The lines through the rays up to `REACH` to either side.
     #[inline(always)]
-    fn fit<S: Simd, const REACH: usize>(&self, simd: S, lane: usize) -> Fit<S> {
+    fn fit<const REACH: usize>(&self, simd: S) -> Fit<S> {
+        let (low, high) = (self.solve::<REACH>(simd, 0), self.solve::<REACH>(simd, HALF));
+        let both = |k: usize| low[k].narrow(high[k]);
+        let (x, y, squared_errors) = (both(0), both(1), both(2));
+        let reach = f32x8::splat(simd, REACH as f32);
+        let (per_spare, per_ray) = self.shares::<REACH>(simd);
+        let at = |window: &Window<f32>, place: usize| f32x8::from_slice(simd, &window[place..place + LANES]);
+        let along = |points: &Window<f32>| at(points, LONGEST + REACH) - at(points, LONGEST - REACH);
+        let (along_x, along_y) = (along(self.points[0]), along(self.points[1]));
+        let incidence = x.mul_add(at(self.directions[0], LONGEST), y * at(self.directions[1], LONGEST));
+        // Two divisions each for the price of one.
+        let (square, squared_length) = (x.mul_add(x, y * y), along_x.mul_add(along_x, along_y * along_y));
+        let per_both = 1.0 / (square * squared_length);
+        let (per_square, per_squared_length) = (squared_length * per_both, square * per_both);
+
+        let squared_incidence = incidence * incidence * per_square;
+        let observed = squared_errors * per_spare * self.noise.recip();
+        let excess = excess(observed);
+        let spread = squared_incidence * observed.max(1.0).mul_add(per_ray, excess);
+        // Variance of the slope of a regression over evenly spaced points; what it makes of a point's at the lever.
+        let turn = spread * (12.0 * LEVER * LEVER) * per_squared_length;
+        let variance = spread + turn;
+        let is_even = (excess * squared_incidence * self.noise).simd_lt(ROUGHEST * ROUGHEST);
+        let is_surface = is_even & variance.simd_lt(f32::INFINITY);
+        let doubted = (squared_incidence * DOUBT).mul_add(per_spare, variance);
+        let doubted = is_surface.select(doubted, f32x8::splat(simd, f32::INFINITY));
+        Fit { reach, inverse: [x, y], observed, turn, doubted }
+    }
+
+    /// Least squares: `n/d`, and the sum of the squared range errors, m^2, of the half of the rays from `lane` on. Differences of large
+    /// numbers.
+    #[inline(always)]
+    fn solve<const REACH: usize>(&self, simd: S, lane: usize) -> [f64x4<S>; 3] {
         let at = |window: &Window<f64>, place: usize| f64x4::from_slice(simd, &window[place + lane..place + lane + HALF]);
         let over = |sums: &Window<f64>| at(sums, LONGEST + REACH + 1) - at(sums, LONGEST - REACH);
         let [xx, xy, yy, x, y, squares] = self.sums;
         let (xx, xy, yy, x, y, squares) = (over(xx), over(xy), over(yy), over(x), over(y), over(squares));
-        let per_determinant = 1.0 / (xx * yy - xy * xy);
-        let inverse = [(yy * x - xy * y) * per_determinant, (xx * y - xy * x) * per_determinant];
-        let squared_errors = squares - inverse[0] * x - inverse[1] * y;
-
-        let middle = f64x4::from_slice(simd, &[0.0, 1.0, 2.0, 3.0]) + (self.first + lane as f64);
-        let (start, end) = ((middle - REACH as f64).max(0.0), (middle + (REACH + 1) as f64).min(self.len));
-        let rays = end - start;
-        let incidence = inverse[0] * at(self.directions[0], LONGEST) + inverse[1] * at(self.directions[1], LONGEST);
-        let squared_incidence = incidence * incidence / (inverse[0] * inverse[0] + inverse[1] * inverse[1]);
-        let squared_noise = self.noise * self.noise;
-        let observed = squared_errors / ((rays - 2.0) * squared_noise);
-        let excess = (observed - 1.0).max(0.0);
-        let mean = observed.max(1.0) / rays;
-        let along = |points: &Window<f64>| at(points, LONGEST + REACH) - at(points, LONGEST - REACH);
-        let (along_x, along_y) = (along(self.points[0]), along(self.points[1]));
-        let spread = squared_incidence * (mean + excess);
-        // Variance of the slope of a regression over evenly spaced points.
-        let turn = spread * (12.0 * squared_noise) / (along_x * along_x + along_y * along_y);
-        let variance = spread + turn * (LEVER * LEVER / squared_noise);
-        let is_even = (excess * squared_incidence * squared_noise).simd_lt(ROUGHEST * ROUGHEST);
-        let is_surface = is_even & rays.simd_gt(2.0) & variance.simd_lt(f64::INFINITY);
-        let variance = is_surface.select(variance, f64x4::splat(simd, f64::INFINITY));
-        let doubted = variance + squared_incidence * DOUBT / (rays - 2.0);
-        Fit { start, end, inverse, excess, mean, turn, variance, doubted }
+        let per_determinant = 1.0 / xx.mul_sub(yy, xy * xy);
+        let inverse = [yy.mul_sub(x, xy * y) * per_determinant, xx.mul_sub(y, xy * x) * per_determinant];
+        [inverse[0], inverse[1], squares - inverse[0].mul_add(x, inverse[1] * y)]
     }
 }
 
-/// What is kept of the rays on one line.
+/// What is uneven about a line: squared errors beyond the noise's.
+#[inline(always)]
+fn excess<S: Simd>(observed: f32x8<S>) -> f32x8<S> {
+    (observed - 1.0).max(0.0)
+}
+
+/// What is kept of the rays on one line. Variances are in units of the noise's.
 #[derive(Clone, Copy, Debug, Default)]
 struct Stretch<T> {
     /// Index of the ray in the middle, or of the two there.
@@ -226,101 +290,68 @@ struct Stretch<T> {
     normal: [T; 2],
     /// m.
     offset: T,
-    /// See [`Fit`].
+    /// Mean squared range error about the line beyond the noise's: what is uneven.
     excess: T,
-    /// See [`Fit`].
+    /// Variance of the line's place in its middle, as a range.
     mean: T,
-    /// See [`Fit`]; infinite where it is no surface.
+    /// Variance of a point's distance by that of the line's direction; infinite where it is no surface.
     turn: T,
 }
 
 impl<T: Copy> Stretch<T> {
+    #[inline(always)]
     fn into_array(self) -> [T; 8] {
         let Self { middle, per_ray, normal, offset, excess, mean, turn } = self;
         [middle, per_ray, normal[0], normal[1], offset, excess, mean, turn]
     }
 
+    #[inline(always)]
     fn from_array([middle, per_ray, x, y, offset, excess, mean, turn]: [T; 8]) -> Self {
         Self { middle, per_ray, normal: [x, y], offset, excess, mean, turn }
     }
 }
 
-/// Surfaces that rays have met, lane by lane.
-#[derive(Clone, Copy)]
-struct Met<S: Simd> {
-    normal: [f32x8<S>; 2],
-    offset: f32x8<S>,
-    turn: f32x8<S>,
-    /// Variance of a point's distance from it; infinite where there is none.
-    variance: f32x8<S>,
-}
-
-impl<S: Simd> Met<S> {
-    /// The others where they are surer.
-    #[inline(always)]
-    fn or(self, other: Self) -> Self {
-        let surer = other.variance.simd_lt(self.variance);
-        let either = |other: f32x8<S>, own: f32x8<S>| surer.select(other, own);
-        Self {
-            normal: [either(other.normal[0], self.normal[0]), either(other.normal[1], self.normal[1])],
-            offset: either(other.offset, self.offset),
-            turn: either(other.turn, self.turn),
-            variance: either(other.variance, self.variance),
-        }
-    }
-
-    #[inline(always)]
-    fn store(&self, beams: &[usize], surfaces: &mut [Surface]) {
-        for (lane, &beam) in beams.iter().enumerate() {
-            if self.variance[lane] < f32::INFINITY {
-                surfaces[beam] = Surface {
-                    normal: [self.normal[0][lane], self.normal[1][lane]],
-                    offset: self.offset[lane],
-                    variance: self.variance[lane],
-                    turn_variance: self.turn[lane],
-                };
-            }
-        }
-    }
-}
-
-/// Some rays in single precision.
+/// Some rays.
 struct Block<S: Simd> {
     index: f32x8<S>,
     direction: [f32x8<S>; 2],
     point: [f32x8<S>; 2],
-    /// Standard deviation of a range, m.
+    /// Variance of a range, m^2.
     noise: f32,
 }
 
 impl<S: Simd> Block<S> {
     /// The surfaces of the stretches that begin at a place in their windows, where they reach up to the rays.
     #[inline(always)]
-    fn on(&self, simd: S, stretches: &[&Window<f32>; 8], place: usize) -> Met<S> {
+    fn on(&self, simd: S, stretches: &[&Window<f32>; 8], place: usize) -> Surfaces<S> {
         let at = |field: usize| f32x8::from_slice(simd, &stretches[field][place..place + LANES]);
         let fields = [at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7)];
         let Stretch { middle, per_ray, normal, offset, excess, mean, turn } = Stretch::from_array(fields);
-        let incidence = normal[0] * self.direction[0] + normal[1] * self.direction[1];
+        let along = |vector: &[f32x8<S>; 2]| normal[0].mul_add(vector[0], normal[1] * vector[1]);
+        let (incidence, error) = (along(&self.direction), along(&self.point) - offset);
         let squared_incidence = incidence * incidence;
-        let error = normal[0] * self.point[0] + normal[1] * self.point[1] - offset;
         let from_middle = (self.index - middle) * per_ray;
         let squared_from_middle = from_middle * from_middle;
         // A regression line is surest in the middle.
-        let place = excess + (squared_from_middle * 3.0 + 1.0) * mean;
-        #[allow(clippy::cast_possible_truncation)] // to single precision
-        let variance = squared_incidence * place + turn * ((LEVER * LEVER) as f32 / (self.noise * self.noise));
-        let limit = (excess + 1.0) * squared_incidence * (FARTHEST * FARTHEST * self.noise * self.noise);
+        let place = (squared_from_middle * 3.0 + 1.0).mul_add(mean, excess);
+        let variance = squared_incidence.mul_add(place, turn);
+        let limit = (excess + 1.0) * squared_incidence * (FARTHEST * FARTHEST * self.noise);
         let is_on = squared_from_middle.simd_lt(1.0) & (error * error).simd_le(limit);
-        let variance = is_on.select(variance, f32x8::splat(variance.token(), f32::INFINITY));
-        Met { normal, offset, turn, variance }
+        let variance = is_on.select(variance, f32x8::splat(simd, f32::INFINITY));
+        Surfaces { normal, offset, variance, turn_variance: turn }
     }
 }
 
 /// The numbers of the rays that a window is around.
 #[inline(always)]
-fn single<S: Simd>(simd: S, window: &Window<f64>) -> f32x8<S> {
-    let at = |start: usize| f64x4::from_slice(simd, &window[start..start + HALF]);
-    at(LONGEST).narrow(at(LONGEST + HALF))
+fn here<S: Simd>(simd: S, window: &Window<f32>) -> f32x8<S> {
+    f32x8::from_slice(simd, &window[LONGEST..LONGEST + LANES])
+}
+
+/// Indices of the rays from one on.
+#[inline(always)]
+fn indices<S: Simd>(simd: S, first: usize) -> f32x8<S> {
+    f32x8::from_slice(simd, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) + first as f32
 }
 
 /// Fits lines; keeps the memory that takes.
@@ -340,6 +371,7 @@ impl Default for LineFitter {
 
 impl LineFitter {
     /// The surface at each beam of a scan. `noise`: standard deviation of a range, m.
+    #[allow(clippy::cast_possible_truncation)] // to single precision
     pub(super) fn fit(&mut self, scan: &Scan, noise: f64, surfaces: &mut Vec<Surface>) {
         surfaces.clear();
         surfaces.resize(scan.len(), Surface::NONE);
@@ -347,33 +379,32 @@ impl LineFitter {
             return;
         }
         self.rays.set(scan);
-        let level = self.level;
+        let (level, noise) = (self.level, (noise * noise) as f32);
+        dispatch!(level, simd => self.rays.sum(simd));
         dispatch!(level, simd => self.find_stretches(simd, noise));
         dispatch!(level, simd => self.find_surfaces(simd, noise, surfaces));
     }
 
     /// The stretch with each ray in its middle that fixes its line best.
     #[inline(always)]
-    fn find_stretches<S: Simd>(&mut self, simd: S, noise: f64) {
-        let len = self.rays.beams.len();
+    fn find_stretches<S: Simd>(&mut self, simd: S, noise: f32) {
+        let Rays { beams, directions, points, sums, .. } = &self.rays;
+        let len = beams.len();
         for numbers in &mut self.stretches {
             numbers.resize(len);
         }
         for first in (0..len).step_by(LANES) {
-            let Rays { directions, points, sums, .. } = &self.rays;
             let sum = |k: usize| sums[k].window(first);
             let around = Around {
                 directions: [directions[0].window(first), directions[1].window(first)],
                 points: [points[0].window(first), points[1].window(first)],
                 sums: [sum(0), sum(1), sum(2), sum(3), sum(4), sum(5)],
-                first: first as f64,
-                len: len as f64,
+                index: indices(simd, first),
+                len: len as f32,
                 noise,
             };
-            let low = around.best(simd, 0).stretch().into_array();
-            let high = around.best(simd, HALF).stretch().into_array();
-            for field in 0..8 {
-                low[field].narrow(high[field]).store_slice(self.stretches[field].block(first));
+            for (field, numbers) in around.best(simd).into_array().into_iter().zip(&mut self.stretches) {
+                field.store_slice(numbers.block(first));
             }
         }
         self.stretches.iter_mut().for_each(|numbers| numbers.pad(0.0, 0.0));
@@ -383,16 +414,15 @@ impl LineFitter {
 
     /// The best surface that each ray belongs to: its own stretch's, or a neighbour's.
     #[inline(always)]
-    #[allow(clippy::cast_possible_truncation)] // to single precision
-    fn find_surfaces<S: Simd>(&self, simd: S, noise: f64, surfaces: &mut [Surface]) {
-        for (block, beams) in self.rays.beams.chunks(LANES).enumerate() {
+    fn find_surfaces<S: Simd>(&self, simd: S, noise: f32, surfaces: &mut [Surface]) {
+        let Rays { beams, directions, points, .. } = &self.rays;
+        for (block, beams) in beams.chunks(LANES).enumerate() {
             let first = block * LANES;
-            let Rays { directions, points, .. } = &self.rays;
             let rays = Block {
-                index: f32x8::from_slice(simd, &[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]) + first as f32,
-                direction: [single(simd, directions[0].window(first)), single(simd, directions[1].window(first))],
-                point: [single(simd, points[0].window(first)), single(simd, points[1].window(first))],
-                noise: noise as f32,
+                index: indices(simd, first),
+                direction: [here(simd, directions[0].window(first)), here(simd, directions[1].window(first))],
+                point: [here(simd, points[0].window(first)), here(simd, points[1].window(first))],
+                noise,
             };
             let field = |field: usize| self.stretches[field].window(first);
             let windows = [field(0), field(1), field(2), field(3), field(4), field(5), field(6), field(7)];
@@ -400,7 +430,8 @@ impl LineFitter {
             for neighbour in NEIGHBOURS {
                 met = met.or(rays.on(simd, &windows, LONGEST - neighbour)).or(rays.on(simd, &windows, LONGEST + neighbour));
             }
-            met.store(beams, surfaces);
+            met.turn_variance *= noise / (LEVER * LEVER);
+            met.scatter(simd, surfaces, beams);
         }
     }
 }
@@ -430,7 +461,7 @@ mod tests {
         let corner_at = 1.0_f64.atan2(2.0).to_degrees();
         for (i, surface) in surfaces(&corner(None), 1e-4).iter().enumerate() {
             let wall = if (i as f64) < corner_at { ([1.0, 0.0], 2.0) } else { ([0.0, 1.0], 1.0) };
-            let near = (0..2).all(|k| (surface.normal[k] - wall.0[k]).abs() < 1e-3) && (surface.offset - wall.1).abs() < 1e-3;
+            let near = (0..2).all(|k| (surface.normal()[k] - wall.0[k]).abs() < 1e-3) && (surface.offset() - wall.1).abs() < 1e-3;
             assert!(near, "{i}: {surface:?}");
         }
     }

@@ -13,11 +13,13 @@ pub mod reference;
 pub mod rejection;
 mod search;
 pub mod solver;
+mod surface;
 mod view;
 
+use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
-use crate::geometry::{Point, Pose2, PoseCovariance};
+use crate::geometry::{Point, Pose2, PoseCovariance, wrap_angle};
 use crate::scan::Scan;
 use correspondence::Correspondence;
 pub use covariance::Uncertainty;
@@ -26,7 +28,7 @@ use pairing::{Agreement, ClosestPoint, Pairing, Pairs, Projective};
 use ray_order::RayOrder;
 use rejection::RejectionKnobs;
 use search::{Search, Tracked};
-use solver::{Solver, SolverKind};
+use solver::{QuadraticForm, Solver, SolverKind};
 pub use view::View;
 
 /// Pairs without which no pose is determined.
@@ -181,6 +183,8 @@ pub struct Matcher {
     knobs: MatchingKnobs,
     pairing: Box<dyn Pairing>,
     solver: Box<dyn Solver>,
+    /// For where that one goes far.
+    step: Box<dyn Solver>,
     search: Search,
     /// Number of rays asked for when they were chosen; 0: not yet.
     rays_chosen: usize,
@@ -205,6 +209,7 @@ impl Matcher {
         Self {
             pairing,
             solver: solver.solver(),
+            step: SolverKind::Linearized.solver(),
             search: Search::default(),
             rays_chosen: 0,
             trace: Vec::with_capacity(STAGES * knobs.max_iterations as usize),
@@ -236,6 +241,7 @@ impl Matcher {
         let coarsest = all_if_zero(self.knobs.coarse_rays);
         self.trace.clear();
         self.pairing.begin(&first_guess);
+        self.pairing.sense(sensed);
         self.rays_chosen = 0;
         let mut refinement = Refinement {
             matcher: self,
@@ -384,7 +390,7 @@ impl Refinement<'_> {
         if m.rays_chosen == self.next_rays {
             return;
         }
-        m.pairing.choose_rays(self.scan, RayOrder::first(self.next_rays, self.scan.valid_len()));
+        m.pairing.choose_rays(RayOrder::first(self.next_rays, self.scan.valid_len()));
         m.rays_chosen = self.next_rays;
         self.level_start = m.trace.len();
     }
@@ -397,7 +403,7 @@ impl Refinement<'_> {
         if share < m.knobs.min_correspondence_ratio || pairs.inliers < FEWEST_PAIRS {
             return Err(StopReason::TooFewCorrespondences);
         }
-        let pose = m.solver.solve(&pairs.form, &self.pose).ok_or(StopReason::Singular)?;
+        let pose = m.solve(&pairs.form, &self.pose).ok_or(StopReason::Singular)?;
         let moved = self.pose.between(&pose);
         self.pose = pose;
         let earlier = m.record(pose, &pairs, self.level_start);
@@ -464,13 +470,21 @@ impl Refinement<'_> {
 }
 
 impl Matcher {
+    /// What fits pairs that were made at a pose.
+    fn solve(&self, form: &QuadraticForm, pose: &Pose2) -> Option<Pose2> {
+        let best = self.solver.solve(form, pose)?;
+        // Two walls are fitted as well when all turns half round about their corner. Pairs are for what is near.
+        let is_near = wrap_angle(best.theta - pose.theta).abs() < FRAC_PI_2;
+        if is_near { Some(best) } else { self.step.solve(form, pose) }
+    }
+
     /// Some iterations from a start of the search.
     fn refine_start(&mut self, start: Pose2) -> (Pose2, Agreement) {
         let mut pose = start;
         self.pairing.begin(&start.into());
         for _ in 0..SEARCH_ITERATIONS {
             let pairs = self.pairing.pair(&pose, self.solver.metric());
-            let Some(next) = pairs.and_then(|pairs| self.solver.solve(&pairs.form, &pose)) else { break };
+            let Some(next) = pairs.and_then(|pairs| self.solve(&pairs.form, &pose)) else { break };
             pose = next;
         }
         self.pairing.pair(&pose, self.solver.metric());

@@ -10,6 +10,7 @@ pub(super) struct RayOrder {
     limit: u64,
     /// All rays in the order's beginning are multiples of this, a power of two.
     stride: usize,
+    total: usize,
 }
 
 impl RayOrder {
@@ -18,13 +19,20 @@ impl RayOrder {
         let places = total.max(2).next_power_of_two();
         let limit = if count >= total { places as u64 } else { (count as u64 * places as u64).div_ceil(total as u64) };
         let stride = places / usize::try_from(limit.next_power_of_two()).unwrap_or(places).min(places);
-        Self { shift: u64::BITS - places.trailing_zeros(), limit, stride }
+        Self { shift: u64::BITS - places.trailing_zeros(), limit, stride, total }
     }
 
-    /// Whether ray `i` is among them.
+    /// Whether it is the whole order.
+    pub(super) fn is_all(self) -> bool {
+        self.stride == 1 && self.limit.is_power_of_two()
+    }
+
+    /// The rays in it, ascending.
     #[inline]
-    pub(super) fn contains(&self, i: usize) -> bool {
-        i & (self.stride - 1) == 0 && (self.limit.is_power_of_two() || (i as u64).reverse_bits() >> self.shift < self.limit)
+    pub(super) fn rays(self) -> impl Iterator<Item = usize> {
+        let is_even = self.limit.is_power_of_two();
+        let contains = move |i: &usize| is_even || (*i as u64).reverse_bits() >> self.shift < self.limit;
+        (0..self.total).step_by(self.stride).filter(contains)
     }
 }
 
@@ -33,8 +41,7 @@ mod tests {
     use super::*;
 
     fn chosen(count: usize, total: usize) -> Vec<usize> {
-        let order = RayOrder::first(count, total);
-        (0..total).filter(|&i| order.contains(i)).collect()
+        RayOrder::first(count, total).rays().collect()
     }
 
     #[test]

@@ -24,6 +24,9 @@ pub(in crate::matching) struct ClosestPoint {
     /// Whose scan the reference is.
     view: Option<Arc<View>>,
     reference: Reference,
+    /// All points of the sensed scan, in its own frame.
+    points: Vec<Point>,
+    /// Those that take part.
     sensed: Vec<Point>,
     moved: Vec<Point>,
     nearest: Vec<Nearest>,
@@ -46,6 +49,7 @@ impl ClosestPoint {
             uncertainty: UncertaintyEstimator::default(),
             view: None,
             reference: Reference::default(),
+            points: Vec::new(),
             sensed: Vec::new(),
             moved: Vec::new(),
             nearest: Vec::new(),
@@ -95,10 +99,14 @@ impl Pairing for ClosestPoint {
         self.pairs.clear();
     }
 
-    fn choose_rays(&mut self, scan: &Scan, order: RayOrder) {
+    fn sense(&mut self, scan: &Scan) {
+        self.points.clear();
+        self.points.extend(scan.rays().map(|(_, direction, range)| direction * range));
+    }
+
+    fn choose_rays(&mut self, order: RayOrder) {
         self.sensed.clear();
-        let chosen = scan.rays().enumerate().filter(|(i, _)| order.contains(*i));
-        self.sensed.extend(chosen.map(|(_, (_, direction, range))| direction * range));
+        self.sensed.extend(order.rays().map(|ray| self.points[ray]));
         self.nearest.clear();
         self.nearest.resize(self.sensed.len(), Nearest::NONE);
     }

@@ -75,8 +75,11 @@ pub(super) trait Pairing: Send {
     /// Begins a match.
     fn begin(&mut self, guess: &FirstGuess);
 
-    /// These rays take part from now on.
-    fn choose_rays(&mut self, scan: &Scan, order: RayOrder);
+    /// Takes over the sensed scan.
+    fn sense(&mut self, scan: &Scan);
+
+    /// These of its rays take part from now on.
+    fn choose_rays(&mut self, order: RayOrder);
 
     /// Number of rays that take part.
     fn rays(&self) -> usize;

@@ -6,8 +6,8 @@
 //! is the error of the guess: all weigh alike, and the kernel is wide. As the scans come to lie on each other it falls to what
 //! surfaces are uneven, and grazing rays, which know best, count.
 
-use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, mask32x8, prelude::*};
-use nalgebra::{Matrix2, SymmetricEigen};
+use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
+use nalgebra::Matrix2;
 
 use super::{Agreement, Metric, Pairing, Pairs, PlacedView};
 use crate::geometry::{Point, Pose2};
@@ -15,7 +15,9 @@ use crate::matching::covariance::condition_number;
 use crate::matching::line_fit::LineFitter;
 use crate::matching::ray_order::RayOrder;
 use crate::matching::solver::QuadraticForm;
-use crate::matching::view::{Bearings, Surface, View};
+use crate::matching::solver::point_to_line::SymmetricEigen;
+use crate::matching::surface::{LANES, Surface, Surfaces};
+use crate::matching::view::{Bearings, View};
 use crate::matching::{FirstGuess, Prior, Uncertainty};
 use crate::scan::Scan;
 
@@ -24,7 +26,7 @@ const KERNEL_SIGMAS: f64 = 3.0;
 /// That error for the first pairs, m.
 const FIRST_WIDTH: f64 = 0.3;
 /// From iteration to iteration the floor falls to this part of it at least: what fits first need not fit best.
-const STEEPEST: f64 = 0.16;
+const STEEPEST: f64 = 0.08;
 /// And to this part of it at most, while it is above [`MOST_FLOOR`] ...
 const GENTLEST: f64 = 0.5;
 /// ... which stands for 3 cm: what errs more is no unevenness, but something that has moved.
@@ -42,108 +44,103 @@ const ROUGH_AGREEMENT: f32 = 0.12;
 /// A direction in which the pairs know so many times what errors of the surfaces' directions feign is not seen at all.
 const FEIGNED: f64 = 4.0;
 
-/// Rays that are handled at a time.
-const LANES: usize = 8;
+/// Numbers of the rays that are handled at a time.
 type Lanes = [f32; LANES];
 
 /// Points of the sensed scan, in its own frame.
 #[derive(Debug, Default)]
 struct Sensed {
-    len: usize,
-    /// m.
-    x: Vec<Lanes>,
-    /// m.
-    y: Vec<Lanes>,
-    /// One by the squared range, 1/m^2; 0 past the last ray.
+    /// All of them, m.
+    points: Points,
+    /// Those that take part, m.
+    chosen: Points,
+    /// One by the squared ranges of those, 1/m^2; 0 past the last ray.
     inverse_square: Vec<Lanes>,
     mean_range: f64,
 }
 
-impl Sensed {
-    #[allow(clippy::cast_possible_truncation)] // to single precision
-    fn set(&mut self, rays: impl Iterator<Item = (Point, f64)>) {
-        self.x.clear();
-        self.y.clear();
-        self.inverse_square.clear();
+/// Points by coordinate, and zeros past the last.
+#[derive(Debug, Default)]
+struct Points {
+    len: usize,
+    x: Vec<Lanes>,
+    y: Vec<Lanes>,
+}
+
+impl Points {
+    /// Takes over points, of which there are as many at most.
+    #[inline(always)]
+    fn set(&mut self, at_most: usize, points: impl Iterator<Item = [f32; 2]>) {
+        self.resize(at_most);
+        let (all_x, all_y) = (self.x.as_flattened_mut(), self.y.as_flattened_mut());
         self.len = 0;
-        let mut ranges = 0.0;
-        for (direction, range) in rays {
-            let point = direction * range;
-            let lane = self.len % LANES;
-            if lane == 0 {
-                self.x.push([1.0; LANES]);
-                self.y.push([0.0; LANES]);
-                self.inverse_square.push([0.0; LANES]);
-            }
-            let last = self.len / LANES;
-            self.x[last][lane] = point.x as f32;
-            self.y[last][lane] = point.y as f32;
-            self.inverse_square[last][lane] = (range * range).recip() as f32;
-            ranges += range;
+        for ((x, y), point) in all_x.iter_mut().zip(&mut *all_y).zip(points) {
+            [*x, *y] = point;
             self.len += 1;
         }
-        self.mean_range = ranges / self.len.max(1) as f64;
+        all_x[self.len..].fill(0.0);
+        all_y[self.len..].fill(0.0);
+        self.resize(self.len);
+    }
+
+    fn resize(&mut self, len: usize) {
+        self.x.resize(len.div_ceil(LANES), [0.0; LANES]);
+        self.y.resize(len.div_ceil(LANES), [0.0; LANES]);
+    }
+
+    fn blocks(&self) -> impl Iterator<Item = (&Lanes, &Lanes)> {
+        self.x.iter().zip(&self.y)
+    }
+
+    fn iter(&self) -> impl Iterator<Item = [f32; 2]> {
+        let (x, y) = (self.x.as_flattened(), self.y.as_flattened());
+        x.iter().zip(y).map(|(&x, &y)| [x, y]).take(self.len)
+    }
+}
+
+impl Sensed {
+    #[allow(clippy::cast_possible_truncation)] // to single precision
+    fn set(&mut self, scan: &Scan) {
+        let points = scan.rays().map(|(_, direction, range)| [(direction.x * range) as f32, (direction.y * range) as f32]);
+        self.points.set(scan.valid_len(), points);
+    }
+
+    #[inline(always)]
+    fn choose<S: Simd>(&mut self, simd: S, order: RayOrder) {
+        let Points { len, x, y } = &self.points;
+        if order.is_all() {
+            self.chosen.len = *len;
+            self.chosen.x.clone_from(x);
+            self.chosen.y.clone_from(y);
+        } else {
+            let (x, y) = (x.as_flattened(), y.as_flattened());
+            self.chosen.set(*len, order.rays().map(|ray| [x[ray], y[ray]]));
+        }
+        let len = self.chosen.len;
+        self.inverse_square.resize(len.div_ceil(LANES), [0.0; LANES]);
+        let mut ranges = f32x8::splat(simd, 0.0);
+        for ((x, y), inverse_square) in self.chosen.blocks().zip(&mut self.inverse_square) {
+            let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
+            let square = x.mul_add(x, y * y);
+            ranges += square.sqrt();
+            (1.0 / square).store_slice(inverse_square);
+        }
+        self.inverse_square.as_flattened_mut()[len..].fill(0.0);
+        self.mean_range = f64::from(ranges.reduce_sum()) / len.max(1) as f64;
     }
 
     /// Rays that end near a surface, roughly.
     #[inline(always)]
     fn score<S: Simd>(&self, simd: S, onto: &Onto) -> u32 {
         let mut agreeing = 0;
-        for ((x, y), inverse_square) in self.x.iter().zip(&self.y).zip(&self.inverse_square) {
-            let moved = onto.pair(simd, x, y);
-            let agrees = moved.error.abs().simd_lt(ROUGH_AGREEMENT) & moved.partners.found;
+        for ((x, y), inverse_square) in self.chosen.blocks().zip(&self.inverse_square) {
+            let moved = onto.pair(simd, x, y, &onto.beams(simd, x, y));
+            let agrees = moved.error.abs().simd_lt(ROUGH_AGREEMENT) & moved.partners.is_some(simd);
             let is_ray = f32x8::from_slice(simd, inverse_square).simd_gt(0.0);
             agreeing += (agrees & is_ray).to_bitmask().count_ones();
         }
         agreeing
     }
-
-    fn points(&self) -> impl Iterator<Item = Point> + '_ {
-        let of_block = |(x, y): (&Lanes, &Lanes)| (0..LANES).map(|l| Point::new(x[l].into(), y[l].into())).collect::<Vec<_>>();
-        self.x.iter().zip(&self.y).flat_map(of_block).take(self.len)
-    }
-}
-
-/// The surfaces that a block of rays is paired with.
-struct Partners<S: Simd> {
-    normal_x: f32x8<S>,
-    normal_y: f32x8<S>,
-    offset: f32x8<S>,
-    variance: f32x8<S>,
-    turn_variance: f32x8<S>,
-    found: mask32x8<S>,
-}
-
-impl<S: Simd> Partners<S> {
-    #[inline(always)]
-    #[allow(clippy::cast_sign_loss)] // the surfaces' indices
-    fn gather(simd: S, surfaces: &[Surface], beams: [i32; LANES]) -> Self {
-        let mut turn_variance = [0.0; LANES];
-        let mut row = |lane: usize| {
-            let Surface { normal: [x, y], offset, variance, turn_variance: turn } = surfaces[beams[lane] as usize];
-            turn_variance[lane] = turn;
-            f32x4::from_slice(simd, &[x, y, offset, variance])
-        };
-        let low = transposed([row(0), row(1), row(2), row(3)]);
-        let high = transposed([row(4), row(5), row(6), row(7)]);
-        let variance = low[3].combine(high[3]);
-        Self {
-            normal_x: low[0].combine(high[0]),
-            normal_y: low[1].combine(high[1]),
-            offset: low[2].combine(high[2]),
-            variance,
-            turn_variance: f32x8::from_slice(simd, &turn_variance),
-            found: variance.simd_lt(Surface::NONE.variance),
-        }
-    }
-}
-
-/// Rows from columns.
-#[inline(always)]
-fn transposed<S: Simd>([a, b, c, d]: [f32x4<S>; 4]) -> [f32x4<S>; 4] {
-    let (ac_low, bd_low) = (a.zip_low(c), b.zip_low(d));
-    let (ac_high, bd_high) = (a.zip_high(c), b.zip_high(d));
-    [ac_low.zip_low(bd_low), ac_low.zip_high(bd_low), ac_high.zip_low(bd_high), ac_high.zip_high(bd_high)]
 }
 
 /// A block of rays moved to a pose.
@@ -152,7 +149,7 @@ struct Moved<S: Simd> {
     point: [f32x8<S>; 2],
     /// Turned into the view's frame, but not shifted.
     turned: [f32x8<S>; 2],
-    partners: Partners<S>,
+    partners: Surfaces<S>,
     /// Signed distance from the partners, m.
     error: f32x8<S>,
 }
@@ -175,14 +172,27 @@ impl<'a> Onto<'a> {
         Self { surfaces: view.surfaces(), bearings: view.bearings(), cos, sin, x, y }
     }
 
-    /// The rays of a block, each with its partner.
+    /// Which beams look where the rays of a block end.
     #[inline(always)]
-    fn pair<S: Simd>(&self, simd: S, x: &Lanes, y: &Lanes) -> Moved<S> {
+    fn beams<S: Simd>(&self, simd: S, x: &Lanes, y: &Lanes) -> [u32; LANES] {
+        let [x, y] = self.turn(f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
+        self.bearings.beams(x + self.x, y + self.y)
+    }
+
+    #[inline(always)]
+    fn turn<S: Simd>(&self, x: f32x8<S>, y: f32x8<S>) -> [f32x8<S>; 2] {
+        [x * self.cos - y * self.sin, x * self.sin + y * self.cos]
+    }
+
+    /// The rays of a block, each with what its beam met.
+    #[inline(always)]
+    fn pair<S: Simd>(&self, simd: S, x: &Lanes, y: &Lanes, beams: &[u32; LANES]) -> Moved<S> {
         let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
-        let turned = [x * self.cos - y * self.sin, x * self.sin + y * self.cos];
+        let turned = self.turn(x, y);
         let (moved_x, moved_y) = (turned[0] + self.x, turned[1] + self.y);
-        let partners = Partners::gather(simd, self.surfaces, self.bearings.beams(moved_x, moved_y));
-        let error = partners.normal_x * moved_x + partners.normal_y * moved_y - partners.offset;
+        let partners = Surfaces::gather(simd, self.surfaces, beams);
+        let [nx, ny] = partners.normal;
+        let error = nx.mul_add(moved_x, ny.mul_sub(moved_y, partners.offset));
         Moved { point: [x, y], turned, partners, error }
     }
 }
@@ -214,21 +224,17 @@ enum Sum {
     Count,
 }
 
-/// Sums over the pairs of one view, in its frame, by place and lane.
-struct Sums([Lanes; Sum::Count as usize]);
+/// Sums over the pairs of one view, in its frame, by place.
+struct Sums([f64; Sum::Count as usize]);
 
 impl Sums {
     fn of(&self, sum: Sum) -> f64 {
-        self.at(sum as usize)
-    }
-
-    fn at(&self, place: usize) -> f64 {
-        self.0[place].map(f64::from).iter().sum()
+        self.0[sum as usize]
     }
 
     fn form(&self, view_from_sensed: &Pose2) -> QuadraticForm {
-        let matrix = std::array::from_fn(|i| self.at(Sum::Matrix as usize + i));
-        let gradient = std::array::from_fn(|i| self.at(Sum::Gradient as usize + i));
+        let matrix = std::array::from_fn(|i| self.0[Sum::Matrix as usize + i]);
+        let gradient = std::array::from_fn(|i| self.0[Sum::Gradient as usize + i]);
         QuadraticForm::about(view_from_sensed, &matrix, &gradient, self.of(Sum::Squares))
     }
 }
@@ -272,6 +278,8 @@ pub(in crate::matching) struct Projective {
     floor: f64,
     /// Distance of each ray from the nearest surface that it is paired with, m.
     distances: Vec<Lanes>,
+    /// Beams of a view that look where the rays end.
+    beams: Vec<[u32; LANES]>,
     form: QuadraticForm,
     totals: Totals,
 }
@@ -288,6 +296,7 @@ impl Projective {
             prior: QuadraticForm::default(),
             floor: LEAST_FLOOR,
             distances: Vec::new(),
+            beams: Vec::new(),
             form: QuadraticForm::default(),
             totals: Totals::default(),
         }
@@ -303,50 +312,58 @@ impl Projective {
         let floor = self.floor as f32;
         let zero = f32x8::splat(simd, 0.0);
         let mut sums = [zero; Sum::Count as usize];
-        let sensed = self.sensed.x.iter().zip(&self.sensed.y).zip(&self.sensed.inverse_square);
-        for (((x, y), inverse_square), distances) in sensed.zip(&mut self.distances) {
-            let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, x, y);
+        // Beforehand: as one loop, every step would wait for the one before, and a processor sees too little ahead to do others meanwhile.
+        for ((x, y), beams) in self.sensed.chosen.blocks().zip(&mut self.beams) {
+            *beams = onto.beams(simd, x, y);
+        }
+        let sensed = self.sensed.chosen.blocks().zip(&self.sensed.inverse_square);
+        for ((((x, y), inverse_square), distances), beams) in sensed.zip(&mut self.distances).zip(&self.beams) {
+            let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, x, y, beams);
             let inverse_square = f32x8::from_slice(simd, inverse_square);
             // The lanes past the last ray have none.
-            let found = partners.found & inverse_square.simd_gt(0.0);
-            let (nx, ny) = (partners.normal_x, partners.normal_y);
+            let found = partners.is_some(simd) & inverse_square.simd_gt(0.0);
+            let [nx, ny] = partners.normal;
             let facing = nx * turned[0] + ny * turned[1];
             let (squared, distance) = (error * error, error.abs());
             let variance = facing * facing * inverse_square + floor + partners.variance;
             let scale = variance * kernel_width;
-            let kernel = scale / (scale + squared);
+            let widened = scale + squared;
             let one = found.select(f32x8::splat(simd, 1.0), zero);
-            let by_variance = one / variance;
+            // Two divisions for the price of one.
+            let per_both = one / (variance * widened);
+            let (kernel, by_variance) = (scale * variance * per_both, widened * per_both);
             let weight = kernel * kernel * by_variance;
             let inlier = squared.simd_lt(scale).select(one, zero);
 
-            let mut add = |place: usize, value: f32x8<S>| sums[place] += value;
+            let mut add = |place: usize, factor: f32x8<S>, value: f32x8<S>| sums[place] = factor.mul_add(value, sums[place]);
             let a = [nx, ny, nx * px + ny * py, ny * px - nx * py];
             let mut place = Sum::Matrix as usize;
             for i in 0..4 {
                 let wa = weight * a[i];
-                add(Sum::Gradient as usize + i, wa * error);
+                add(Sum::Gradient as usize + i, wa, error);
                 for &aj in &a[i..] {
-                    add(place, wa * aj);
+                    add(place, wa, aj);
                     place += 1;
                 }
             }
-            add(Sum::Squares as usize, weight * squared);
-            add(Sum::Expected as usize, weight * variance);
-            add(Sum::Feigned as usize, weight * partners.turn_variance);
-            add(Sum::Excess as usize, weight * by_variance * (squared * per_square - variance));
-            add(Sum::ExcessWeights as usize, weight * by_variance);
-            add(Sum::Residuals as usize, inlier * distance);
-            add(Sum::Inliers as usize, inlier);
-            add(Sum::Pairs as usize, one);
+            let excess_weight = weight * by_variance;
+            add(Sum::Squares as usize, weight, squared);
+            add(Sum::Expected as usize, weight, variance);
+            add(Sum::Feigned as usize, weight, partners.turn_variance);
+            add(Sum::Excess as usize, excess_weight, squared.mul_sub(per_square, variance));
+            add(Sum::Residuals as usize, inlier, distance);
+            sums[Sum::ExcessWeights as usize] += excess_weight;
+            sums[Sum::Inliers as usize] += inlier;
+            sums[Sum::Pairs as usize] += one;
             let nearest = found.select(distance, f32x8::splat(simd, f32::INFINITY)).min(f32x8::from_slice(simd, distances));
             nearest.store_slice(distances);
         }
-        let mut lanes = [[0.0; LANES]; Sum::Count as usize];
-        for (lanes, sum) in lanes.iter_mut().zip(&sums) {
-            sum.store_slice(lanes);
+        let mut added = [0.0; Sum::Count as usize];
+        for (added, sum) in added.iter_mut().zip(sums) {
+            let (low, high) = sum.widen();
+            *added = (low + high).reduce_sum();
         }
-        Sums(lanes)
+        Sums(added)
     }
 
     /// The floor for the next pairs, and whether it has come to rest.
@@ -365,10 +382,8 @@ impl Projective {
         let information = 0.5 * self.form.linearize(pose).1;
         let coupling = information.fixed_view::<2, 1>(0, 2);
         let translation = information.fixed_view::<2, 2>(0, 0) - coupling * coupling.transpose() / information.m33;
-        let eigen = SymmetricEigen::new(Matrix2::from(translation));
-        let least = eigen.eigenvalues.imin();
-        let is_free = eigen.eigenvalues[least] < FEIGNED * self.totals.feigned;
-        is_free.then(|| eigen.eigenvectors.column(least).into_owned())
+        let eigen = SymmetricEigen::of(&Matrix2::from(translation));
+        (eigen.values.x < FEIGNED * self.totals.feigned).then_some(eigen.minor)
     }
 
     /// What holds the pose where the pairs do not.
@@ -404,13 +419,17 @@ impl Pairing for Projective {
             .map_or_else(QuadraticForm::default, |Prior { pose, covariance }| QuadraticForm::of_prior(&pose, &covariance, unit));
     }
 
-    fn choose_rays(&mut self, scan: &Scan, order: RayOrder) {
-        let chosen = scan.rays().enumerate().filter(|(i, _)| order.contains(*i));
-        self.sensed.set(chosen.map(|(_, (_, direction, range))| (direction, range)));
+    fn sense(&mut self, scan: &Scan) {
+        self.sensed.set(scan);
+    }
+
+    fn choose_rays(&mut self, order: RayOrder) {
+        let level = self.level;
+        dispatch!(level, simd => self.sensed.choose(simd, order));
     }
 
     fn rays(&self) -> usize {
-        self.sensed.len
+        self.sensed.chosen.len
     }
 
     fn pair(&mut self, pose: &Pose2, _metric: Metric) -> Option<Pairs> {
@@ -418,7 +437,8 @@ impl Pairing for Projective {
             return None;
         }
         self.distances.clear();
-        self.distances.resize(self.sensed.x.len(), [f32::INFINITY; LANES]);
+        self.distances.resize(self.sensed.inverse_square.len(), [f32::INFINITY; LANES]);
+        self.beams.resize(self.sensed.inverse_square.len(), [0; LANES]);
         (self.form, self.totals) = (QuadraticForm::default(), Totals::default());
         for view in 0..self.views.len() {
             let reference_from_view = self.views[view].reference_from_view;
@@ -429,7 +449,7 @@ impl Pairing for Projective {
             self.totals.add(&sums);
         }
         // A ray that several views have surfaces for is no better known than one: its own noise is the same for all.
-        let views_per_ray = (self.totals.pairs / self.sensed.len.max(1) as f64).max(1.0);
+        let views_per_ray = (self.totals.pairs / self.sensed.chosen.len.max(1) as f64).max(1.0);
         self.form = self.form.scaled(views_per_ray.recip());
         self.totals.feigned /= views_per_ray;
         let mut form = self.form;
@@ -450,7 +470,7 @@ impl Pairing for Projective {
         let noise = self.totals.squares / self.totals.expected.max(f64::MIN_POSITIVE);
         let reference_rays: usize = self.views.iter().map(|placed| placed.view.scan().valid_len()).sum();
         // What the sensed rays that take part add of noise, the reference's have added to the surfaces, all of them.
-        let both = 1.0 + self.sensed.len as f64 / reference_rays.max(1) as f64;
+        let both = 1.0 + self.sensed.chosen.len as f64 / reference_rays.max(1) as f64;
         let free_direction = self.free_direction(pose);
         let information = 0.5 * self.form.linearize(pose).1;
         let mut with_prior = self.form;
@@ -491,11 +511,11 @@ impl Pairing for Projective {
             let view_from_sensed = placed.reference_from_view.between(pose).transform();
             let back = placed.reference_from_view.transform();
             let (bearings, surfaces) = (placed.view.bearings(), placed.view.surfaces());
-            for point in self.sensed.points() {
-                let seen = view_from_sensed.apply(point);
+            for point in self.sensed.chosen.iter() {
+                let seen = view_from_sensed.apply(point.map(f64::from).into());
                 let surface = &surfaces[bearings.beam(&seen)];
-                let normal = Point::new(surface.normal[0].into(), surface.normal[1].into());
-                let error = normal.dot(&seen) - f64::from(surface.offset);
+                let normal = Point::from(surface.normal().map(f64::from));
+                let error = normal.dot(&seen) - f64::from(surface.offset());
                 if !surface.is_none() && error.abs() < f64::from(AGREEMENT) {
                     points.push((back.apply(seen), back.apply(seen - normal * error)));
                 }

@@ -7,7 +7,7 @@
 
 mod levenberg_marquardt;
 mod linearized;
-mod point_to_line;
+pub(super) mod point_to_line;
 mod point_to_point;
 
 use std::ops::AddAssign;
@@ -132,6 +132,9 @@ impl QuadraticForm {
     /// A form of poses in `frame`, as one of poses in the frame that `frame` is given in.
     #[must_use]
     pub fn seen_from(&self, frame: &Pose2) -> Self {
+        if *frame == Pose2::IDENTITY {
+            return *self;
+        }
         let (sin, cos) = frame.theta.sin_cos();
         #[rustfmt::skip]
         let turn = Matrix4::new(
@@ -171,7 +174,7 @@ impl QuadraticForm {
             0.0, 0.0, -sin,
             0.0, 0.0, cos,
         );
-        let gradient = 2.0 * self.matrix * lift(pose) + self.gradient;
+        let gradient = 2.0 * self.matrix * Vector4::new(pose.x, pose.y, cos, sin) + self.gradient;
         (tangent.transpose() * gradient, 2.0 * tangent.transpose() * self.matrix * tangent)
     }
 
