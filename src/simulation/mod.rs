@@ -23,6 +23,7 @@ pub mod odometer;
 pub mod pairs;
 pub mod planner;
 pub mod random_world;
+pub mod rays;
 pub mod route;
 pub mod scene;
 pub mod shapes;
