@@ -7,10 +7,10 @@ use std::time::Duration;
 use rand_pcg::Pcg64;
 use rosrust::api::{Master, Ros};
 
-use super::beat::Beat;
 use super::ground::Ground;
 use super::{RacecarSimKnobs, face};
 use crate::anytime::clock::{Clock, MonotonicClock};
+use crate::anytime::timer::Timer;
 use crate::app::planar_pose;
 use crate::geometry::Pose2;
 use crate::messages::Message as _;
@@ -36,6 +36,8 @@ use crate::time::Stamp;
 
 /// A machine that was asleep does not make the car drive on blindly for longer than this, s.
 const LONGEST_STEP: f64 = 0.1;
+/// From one look at the master to the next.
+const MASTER_CHECKS: Duration = Duration::from_secs(1);
 /// Slower than this a car that is told a yaw rate cannot turn, m/s.
 const LEAST_TURNING_SPEED: f64 = 1e-3;
 
@@ -97,8 +99,8 @@ pub(super) struct Simulator<'a> {
     wheelbase: f64,
     driver: Option<Driver<'a>>,
     command: Command,
-    poses: Beat,
-    scans: Beat,
+    poses: Timer,
+    scans: Timer,
     /// Numbers of the last pose and scan, for the headers.
     numbers: (u32, u32),
     reader: Reader,
@@ -130,6 +132,7 @@ impl<'a> Simulator<'a> {
         let RacecarSimKnobs { world, rate, scan_rate, wheelbase, seed, .. } = knobs;
         log.info(&format!("simulates a racecar in {world}: poses at {rate} Hz, scans at {scan_rate} Hz"));
         let (now, reader) = (clock.now(), Reader::new(&clock, &log));
+        let period = |rate: f64| Duration::from_secs_f64(rate.recip());
         Ok(Self {
             ros,
             clock,
@@ -143,8 +146,8 @@ impl<'a> Simulator<'a> {
             wheelbase: *wheelbase,
             driver: ground.driver(knobs),
             command: Command::default(),
-            poses: Beat::new(*rate, now),
-            scans: Beat::new(*scan_rate, now),
+            poses: Timer::new(period(*rate), now),
+            scans: Timer::new(period(*scan_rate), now),
             numbers: (0, 0),
             reader,
             _links: links,
@@ -154,7 +157,7 @@ impl<'a> Simulator<'a> {
     /// Until somebody wants it to stop.
     pub(super) fn run(mut self, stop: &StopSignal) {
         let mut last = self.clock.now();
-        let mut looks = Beat::new(1.0, last);
+        let mut looks = Timer::new(MASTER_CHECKS, last);
         while !stop.wait(Duration::ZERO) && self.ros.is_ok() {
             let now = self.clock.now();
             self.drive_on(now.saturating_sub(last).as_secs_f64().min(LONGEST_STEP));
@@ -163,8 +166,8 @@ impl<'a> Simulator<'a> {
             if looks.is_due(now) {
                 self.master.check();
             }
-            let rest = self.poses.next().min(self.scans.next()).saturating_sub(self.clock.now());
-            if let Ok((input, letter)) = self.letters.recv_timeout(rest) {
+            let now = self.clock.now();
+            if let Ok((input, letter)) = self.letters.recv_timeout(self.poses.left(now).min(self.scans.left(now))) {
                 self.handle(input, &letter);
             }
         }
