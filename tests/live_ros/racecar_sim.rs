@@ -20,7 +20,7 @@ use rosrust::RosMsg as _;
 use rosrust_msg::anytime_scan_matcher::MatchReport;
 
 use crate::drive::pose_message;
-use crate::graph::{Graph, PATIENCE, Process, eventually};
+use crate::graph::{Graph, PACKAGE, PATIENCE, Process, eventually};
 use crate::wire::{Listener, say};
 
 /// Where the simulator is told to put the car: far from where it drives at that time.
@@ -212,6 +212,25 @@ fn the_simulator_obeys_drive_and_cmd_vel() {
         assert!(simulator.log().contains(remedy), "{}", simulator.log());
         graph.output("rosparam", &["delete", "/racecar_sim"]);
     }
+}
+
+/// F1TENTH's simulator is not packaged: a package of its name shows that the launch file starts what it finds there.
+#[test]
+fn the_launch_file_starts_f1tenths_simulator_where_there_is_one() {
+    let Some(graph) = Graph::without_master() else { return };
+    let package = graph.dir.path().join("racecar_simulator");
+    fs::create_dir_all(package.join("launch")).unwrap();
+    fs::write(package.join("package.xml"), "<package><name>racecar_simulator</name></package>").unwrap();
+    let launch = r#"<launch><node pkg="racecar_simulator" type="simulator" name="racecar_simulator"/></launch>"#;
+    fs::write(package.join("launch/simulator.launch"), launch).unwrap();
+    let packages = format!("{}:{PACKAGE}:/usr/share", graph.dir.path().display());
+    let mut roslaunch = graph.command("roslaunch");
+    roslaunch.env("ROS_PACKAGE_PATH", packages).args(["--nodes", "anytime_scan_matcher", "racecar_simulator.launch"]);
+    let output = roslaunch.output().unwrap();
+    let nodes = String::from_utf8(output.stdout).unwrap();
+    let mut nodes: Vec<&str> = nodes.split_whitespace().collect();
+    nodes.sort_unstable();
+    assert_eq!(nodes, ["/racecar_simulator", "/scan_matcher"], "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 /// As fast as `racecar_simulator`: 1000 Hz on a quiet machine. A quarter is asked of a busy one.
