@@ -184,7 +184,10 @@ fn two_nodes_side_by_side_keep_to_their_namespaces() {
     let nodes = graph.output("rosnode", &["list"]);
     assert!(nodes.contains("/left/scan_matcher") && nodes.contains("/right/matcher"), "{nodes}");
     assert!(graph.output("rostopic", &["list"]).contains("/right/report"));
-    assert_eq!(graph.output("rostopic", &["type", "/left/icp_contract"]).trim(), Contract::TYPE, "with nobody to publish it");
+    for (topic, message_type) in [("icp_contract", Contract::TYPE), ("imu/data", Imu::TYPE), ("vel", Twist::TYPE)] {
+        let found = graph.output("rostopic", &["type", &format!("/left/{topic}")]);
+        assert_eq!(found.trim(), message_type, "{topic}, with nobody to publish it");
+    }
     let recorder = graph.record(&["/left/icp_report", "/left/icp_state", "/right/scan_match_location", "/right/report"]);
     graph.play(&bag, &[]);
     let recorded = graph.finish_recording(recorder);
