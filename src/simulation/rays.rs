@@ -17,8 +17,9 @@ pub struct Rays {
 }
 
 impl Rays {
-    /// The beams of a laser at this pose.
+    /// The beams of a laser at this pose, which point where their indices say ([`BeamGeometry::is_even`]).
     pub fn new(beams: &BeamGeometry, pose: &Pose2) -> Self {
+        debug_assert!(beams.is_even());
         let turn = pose.transform();
         let directions = beams.directions().iter().map(|&direction| turn.rotate(direction)).collect();
         Self { origin: pose.translation(), first: pose.theta + beams.angle(0), increment: beams.angle_increment(), directions }
