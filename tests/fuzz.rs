@@ -12,16 +12,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::App;
+use anytime_scan_matcher::app::{App, map_message};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::io::carmen::CarmenLog;
 use anytime_scan_matcher::io::map_file;
-use anytime_scan_matcher::messages::geometry_msgs::{PoseWithCovarianceStamped, TransformStamped};
-use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::geometry_msgs::{PoseWithCovarianceStamped, Quaternion, TransformStamped, Twist};
+use anytime_scan_matcher::messages::nav_msgs::{MapMetaData, OccupancyGrid, Odometry};
 use anytime_scan_matcher::messages::own::Contract;
-use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan, PointCloud2, PointField};
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::messages::{decode, encode};
 use anytime_scan_matcher::time::Stamp;
@@ -105,17 +105,24 @@ fn fuzz(folder: &str, memory: u64, read: impl Fn(&[u8]) -> bool) {
 
 /// Gives the application whatever these bytes can be taken for; whether it made use of it.
 fn handle(app: &mut App, bytes: &[u8]) -> bool {
-    if let Ok(message) = decode::<LaserScan>(bytes) {
-        let mut estimate = app.on_scan(&message, Duration::ZERO);
+    let scan = decode(bytes).map(|message: LaserScan| app.on_scan(&message, Duration::ZERO));
+    let cloud = decode(bytes).map(|message: PointCloud2| app.on_cloud(&message, Duration::ZERO));
+    let malformed = app.counters().malformed_scans;
+    let mut scans = 0;
+    for mut estimate in [scan, cloud].into_iter().flatten() {
         assert!(estimate.registration.odom_from_base.is_finite());
         app.conclude(&mut estimate);
+        scans += 1;
     }
     [
-        decode(bytes).is_ok_and(|message: LaserScan| message.ranges.len() > 10),
-        decode(bytes).is_ok_and(|message| app.on_odometry(&message).is_ok()),
-        decode(bytes).is_ok_and(|message| app.on_transforms(&message).is_ok()),
-        decode(bytes).is_ok_and(|message| app.on_contract(&message).is_ok()),
-        decode(bytes).is_ok_and(|message| app.on_initial_pose(&message).is_ok()),
+        malformed + scans > app.counters().malformed_scans,
+        decode(bytes).is_ok_and(|message: Odometry| app.on_odometry(&message).is_ok()),
+        decode(bytes).is_ok_and(|message: TFMessage| app.on_transforms(&message).is_ok()),
+        decode(bytes).is_ok_and(|message: Imu| app.on_imu(&message).is_ok()),
+        decode(bytes).is_ok_and(|message: Twist| app.on_velocity(&message).is_ok()),
+        decode(bytes).is_ok_and(|message: Contract| app.on_contract(&message).is_ok()),
+        decode(bytes).is_ok_and(|message: PoseWithCovarianceStamped| app.on_initial_pose(&message).is_ok()),
+        decode(bytes).is_ok_and(|message: OccupancyGrid| map_message::grid(&message).is_ok()),
     ]
     .contains(&true)
 }
@@ -188,6 +195,28 @@ fn map_images() {
     fuzz("map_image", 8 * MOST_MEMORY, |bytes| read_map(&description, bytes));
 }
 
+/// A ring of points around the laser.
+fn cloud() -> PointCloud2 {
+    let field = |name: &str, offset| PointField { name: name.into(), offset, datatype: PointField::FLOAT32, count: 1 };
+    let point = |degrees: u16| {
+        let (sin, cos) = f32::from(degrees).to_radians().sin_cos();
+        [2.0 * cos, 3.0 * sin].map(f32::to_le_bytes)
+    };
+    let (width, point_step) = (60, 8);
+    let mut cloud = PointCloud2 { height: 1, width, point_step, row_step: width * point_step, ..PointCloud2::default() };
+    cloud.header.frame_id = "laser".into();
+    cloud.fields = vec![field("x", 0), field("y", 4)];
+    cloud.data = (0..60).flat_map(|number| point(6 * number)).flatten().collect();
+    cloud
+}
+
+/// A map of 4 by 3 cells.
+fn map() -> OccupancyGrid {
+    let origin = Pose2::new(1.0, 2.0, 0.3).into();
+    let info = MapMetaData { resolution: 0.05, width: 4, height: 3, origin, ..MapMetaData::default() };
+    OccupancyGrid { info, data: vec![0, 0, 100, -1, 0, 0, 100, -1, 0, 0, 100, -1], ..OccupancyGrid::default() }
+}
+
 /// The valid files that are no text: `cargo test --test fuzz -- --ignored`.
 #[test]
 #[ignore = "writes the corpus"]
@@ -213,6 +242,10 @@ fn write_the_corpus() {
         ("tf", encode(&transforms)),
         ("contract", encode(&Contract::default())),
         ("initial_pose", encode(&initial)),
+        ("cloud", encode(&cloud())),
+        ("imu", encode(&Imu { orientation: Quaternion::from_yaw(0.3), ..Imu::default() })),
+        ("velocity", encode(&Twist::default())),
+        ("map", encode(&map())),
     ] {
         fs::write(folder("message").join(name), bytes.unwrap()).unwrap();
     }

@@ -1,41 +1,31 @@
-//! When the next update is due.
+//! Something to be done again and again.
 
 use std::time::Duration;
 
-/// A timer; without a period it is always time.
+/// A steady rate. Whoever comes late does once what is due and leaves out the rest; timers whose periods divide each other stay
+/// together.
 #[derive(Clone, Debug)]
 pub struct Timer {
-    period: Option<Duration>,
+    period: Duration,
     next: Duration,
 }
 
 impl Timer {
-    /// `period`, s; 0: none. The first update is due one period after `now`.
-    pub fn new(period: f64, now: Duration) -> Self {
-        let period = Duration::try_from_secs_f64(period).ok().filter(|period| !period.is_zero());
-        Self { period, next: now + period.unwrap_or_default() }
+    /// Due every `period`, which is not zero, for the first time when the clock reads `first`.
+    pub fn new(period: Duration, first: Duration) -> Self {
+        Self { period, next: first }
     }
 
-    /// Whether it ever calls.
-    pub fn has_period(&self) -> bool {
-        self.period.is_some()
+    /// Time until it is due next.
+    pub fn left(&self, now: Duration) -> Duration {
+        self.next.saturating_sub(now)
     }
 
-    /// Time until the next update is due; `None`: messages alone drive the updates.
-    pub fn left(&self, now: Duration) -> Option<Duration> {
-        self.period.map(|_| self.next.saturating_sub(now))
-    }
-
-    /// Whether an update is due, that is, whether the time for it has come since it last was. Times that were missed are left out.
+    /// Whether it is due; if so, it is taken to be done.
     pub fn is_due(&mut self, now: Duration) -> bool {
-        let Some(period) = self.period else { return true };
-        if now < self.next {
-            return false;
-        }
-        self.next += period;
-        if self.next <= now {
-            self.next = now + period;
-        }
+        let Some(late) = now.checked_sub(self.next) else { return false };
+        let missed = late.div_duration_f64(self.period).floor();
+        self.next += self.period.mul_f64(missed + 1.0);
         true
     }
 }
@@ -45,13 +35,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn updates_are_due_once_a_period_and_missed_ones_are_left_out() {
+    fn keeps_its_rate_and_leaves_out_what_was_missed() {
         let at = Duration::from_millis;
-        let mut timer = Timer::new(0.01, at(0));
-        assert_eq!((timer.left(at(4)), timer.is_due(at(4))), (Some(at(6)), false));
-        assert!(timer.is_due(at(11)) && !timer.is_due(at(12)) && timer.is_due(at(20)));
-        assert!(timer.is_due(at(75)) && !timer.is_due(at(84)) && timer.is_due(at(85)));
-        let mut none = Timer::new(0.0, at(0));
-        assert!(none.left(at(5)).is_none() && none.is_due(at(5)) && none.is_due(at(5)));
+        let mut timer = Timer::new(at(10), at(5));
+        assert_eq!((timer.left(at(1)), timer.left(at(7))), (at(4), at(0)));
+        let due: Vec<u64> = (0..60).filter(|&now| timer.is_due(at(now))).collect();
+        assert_eq!(due, [5, 15, 25, 35, 45, 55]);
+        assert!(timer.is_due(at(508)) && !timer.is_due(at(514)) && timer.is_due(at(515)), "on the beat again");
     }
 }

@@ -19,6 +19,9 @@ mod streams;
 mod update;
 mod workers;
 
+use std::time::Duration;
+
+use crate::anytime::timer::Timer;
 use crate::geometry::Pose2;
 use crate::knobs::Seconds;
 use crate::raycasting::RayCasting;
@@ -58,5 +61,13 @@ crate::knobs! {
         threads: u32 = 0, in 0 to 256;
         /// Another seed: other random numbers.
         seed: u32 = 1;
+    }
+}
+
+impl LocalizationKnobs {
+    /// The timer that drives the updates, for the first time one period after `now`; `None`: the scans do.
+    pub fn timer(&self, now: Duration) -> Option<Timer> {
+        let period = Duration::try_from_secs_f64(self.update_period.0).ok().filter(|period| !period.is_zero())?;
+        Some(Timer::new(period, now + period))
     }
 }

@@ -11,7 +11,6 @@ use serde_json::{Value, json};
 use super::{ReplayLog, Topics, feed, microseconds};
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
-use crate::anytime::timer::Timer;
 use crate::app::localizer::{Fix, Localizer};
 use crate::evaluation::association::MatchedPose;
 use crate::evaluation::statistics::{PoseErrors, percentile};
@@ -46,7 +45,7 @@ pub fn localize<E: From<BagError>>(
     on_message: impl FnMut(),
     mut on_answer: impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
-    let mut timer = Timer::new(localizer.config().localization.update_period.0, Duration::ZERO);
+    let mut timer = localizer.config().localization.timer(Duration::ZERO);
     let mut held: Option<LaserScan> = None;
     let mut start = None;
     let log = feed(bag, topics, localizer, on_message, |message, localizer, log| {
@@ -60,9 +59,7 @@ pub fn localize<E: From<BagError>>(
         };
         let since_start = message.time.seconds_since(*start.get_or_insert(message.time));
         let now = Duration::try_from_secs_f64(since_start).unwrap_or_default();
-        if !timer.has_period() {
-            return answer(localizer, &scan, arrival, &mut on_answer);
-        }
+        let Some(timer) = &mut timer else { return answer(localizer, &scan, arrival, &mut on_answer) };
         let is_due = timer.is_due(now);
         let Some(earlier) = held.replace(scan) else { return Ok(()) };
         if is_due { answer(localizer, &earlier, arrival, &mut on_answer) } else { pass_over(localizer, &earlier, &mut on_answer) }

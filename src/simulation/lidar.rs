@@ -11,6 +11,7 @@ use crate::messages::std_msgs::Header;
 use crate::scan::BeamGeometry;
 use crate::time::Stamp;
 
+use super::rays::Rays;
 use super::world::World;
 
 knobs! {
@@ -89,20 +90,17 @@ impl<'a> Lidar<'a> {
     /// A scan stamped `stamp`, the time of its first ray. So many seconds after that, `world` is how the world is, and
     /// `map_from_base` where the car is.
     pub fn scan<W: World>(&mut self, world: impl Fn(f64) -> W, map_from_base: impl Fn(f64) -> Pose2, stamp: Stamp) -> LaserScan {
-        let laser = |after| {
-            let pose = map_from_base(after) * self.knobs.laser_in_base;
-            (pose.translation(), pose.transform())
+        let laser = |after| map_from_base(after) * self.knobs.laser_in_base;
+        let range_max = self.knobs.range_max;
+        let distances = if self.sweep_time() > 0.0 {
+            let distance = |(ray, &direction): (usize, &Point)| {
+                let (after, laser) = (self.ray_time(ray), laser(self.ray_time(ray)));
+                world(after).range(laser.translation(), laser.transform().rotate(direction), range_max)
+            };
+            self.beams.directions().iter().enumerate().map(distance).collect()
+        } else {
+            world(0.0).ranges(&Rays::new(&self.beams, &laser(0.0)), range_max)
         };
-        let mut moment = (0.0, world(0.0), laser(0.0));
-        let distance = |(ray, &direction): (usize, &Point)| {
-            let after = self.ray_time(ray);
-            if after > moment.0 {
-                moment = (after, world(after), laser(after));
-            }
-            let (_, world, (origin, turn)) = &moment;
-            world.range(*origin, turn.rotate(direction), self.knobs.range_max)
-        };
-        let distances: Vec<Option<f64>> = self.beams.directions().iter().enumerate().map(distance).collect();
         let mut scan = self.template.clone();
         scan.header.stamp = stamp.into();
         scan.ranges = distances.into_iter().map(|distance| self.reading(distance)).collect();

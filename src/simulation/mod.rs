@@ -2,8 +2,8 @@
 //!
 //! [`drive::simulate`] puts them together: a [`scene`] gives the walls and the route through them, a [`driver`] steers the
 //! [`vehicle`] along the route into a [`motion`], and the [`lidar`] and the [`odometer`] measure that motion, amid
-//! [`traffic`] if wanted. The same seed makes
-//! the same messages, bit for bit.
+//! [`traffic`] if wanted. A [`world`](world::World) may answer for all [`rays`] of a scan at once. The same seed makes the same
+//! messages, bit for bit.
 //!
 //! Live, a [`car`] goes where it is told to, moment by moment; beams of its lidar may take the short way through a [`marched_world`].
 //!
@@ -23,6 +23,7 @@ pub mod odometer;
 pub mod pairs;
 pub mod planner;
 pub mod random_world;
+pub mod rays;
 pub mod route;
 pub mod scene;
 pub mod shapes;

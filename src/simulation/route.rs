@@ -23,7 +23,10 @@ impl Route {
     /// `None` if the waypoints are too close together to make a loop.
     pub fn smooth(waypoints: &[Point], world: &dyn World, margin: f64) -> Option<Self> {
         let mut points = evenly_spaced(waypoints)?;
-        let clear = |new: Point, old: Point| world.clearance(new) >= margin.min(world.clearance(old));
+        let clear = |new: Point, old: Point| {
+            let room = world.clearance(new);
+            room >= margin || room >= world.clearance(old)
+        };
         for _ in 0..SMOOTHING_PASSES {
             for i in 0..points.len() {
                 let [before, here, after] = around(&points, i, 1);

@@ -2,7 +2,20 @@
 
 use crate::geometry::{Point, RigidTransform, perpendicular};
 
+use super::rays::{Rays, Sector};
 use super::world::World;
+
+/// Something that rays end at.
+trait Shape {
+    /// Distance from `origin` along the unit vector `direction`, if it is there.
+    fn range(&self, origin: Point, direction: Point) -> Option<f64>;
+
+    /// All directions, and some more, in which it may be seen from `origin`.
+    fn sector(&self, origin: Point) -> Sector;
+
+    /// Distance from `point`.
+    fn distance(&self, point: Point) -> f64;
+}
 
 /// A straight thin wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,8 +33,10 @@ struct Circle {
 
 /// Rays that pass an end of a segment by this part of its length still meet it, so that none slips through a corner.
 const OVERLAP: f64 = 1e-12;
+/// Nearer to a segment than this, m, it may be in any direction.
+const TOUCHING: f64 = 1e-6;
 
-impl Segment {
+impl Shape for Segment {
     /// Solves `origin + t direction = from + u (to - from)` for t, with u in 0..1.
     fn range(&self, origin: Point, direction: Point) -> Option<f64> {
         let along = self.to - self.from;
@@ -37,6 +52,10 @@ impl Segment {
         (t >= 0.0 && t.is_finite()).then_some(t)
     }
 
+    fn sector(&self, origin: Point) -> Sector {
+        if self.distance(origin) < TOUCHING { Sector::ALL } else { Sector::between(self.from - origin, self.to - origin) }
+    }
+
     fn distance(&self, point: Point) -> f64 {
         let along = self.to - self.from;
         let u = ((point - self.from).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
@@ -44,7 +63,7 @@ impl Segment {
     }
 }
 
-impl Circle {
+impl Shape for Circle {
     /// Solves `|origin + t direction - centre| = radius` for the smallest t ahead; seen from inside that is the far side.
     fn range(&self, origin: Point, direction: Point) -> Option<f64> {
         let offset = self.centre - origin;
@@ -55,6 +74,11 @@ impl Circle {
         }
         let half_chord = ((self.radius - miss) * (self.radius + miss)).sqrt();
         [middle - half_chord, middle + half_chord].into_iter().find(|&t| t >= 0.0)
+    }
+
+    fn sector(&self, origin: Point) -> Sector {
+        let (way, distance) = (self.centre - origin, (self.centre - origin).norm());
+        if distance <= self.radius { Sector::ALL } else { Sector::about(way, (self.radius / distance).asin()) }
     }
 
     fn distance(&self, point: Point) -> f64 {
@@ -106,9 +130,66 @@ impl World for Shapes {
         segments.chain(circles).filter(|&range| range <= max).min_by(f64::total_cmp)
     }
 
+    /// Each shape is held against the rays alone that may meet it.
+    fn ranges(&self, rays: &Rays, max: f64) -> Vec<Option<f64>> {
+        let mut ranges = vec![None; rays.len()];
+        shorten(&mut ranges, rays, &self.segments, max);
+        shorten(&mut ranges, rays, &self.circles, max);
+        ranges
+    }
+
     fn clearance(&self, point: Point) -> f64 {
         let segments = self.segments.iter().map(|segment| segment.distance(point));
         let circles = self.circles.iter().map(|circle| circle.distance(point));
         segments.chain(circles).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Ends rays at the shapes that they meet within `max`.
+fn shorten(ranges: &mut [Option<f64>], rays: &Rays, shapes: &[impl Shape], max: f64) {
+    for shape in shapes {
+        rays.within(shape.sector(rays.origin())).for_each(|ray| {
+            let met = shape.range(rays.origin(), rays.direction(ray));
+            if let Some(range) = met.filter(|&range| range <= max)
+                && ranges[ray].is_none_or(|nearest| range < nearest)
+            {
+                ranges[ray] = Some(range);
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Pose2;
+    use crate::scan::BeamGeometry;
+    use crate::simulation::built_in::BuiltIn;
+    use proptest::prelude::*;
+    use std::f64::consts::TAU;
+
+    /// The ends of walls, where rays are most easily lost.
+    fn corners(world: &Shapes) -> Vec<Point> {
+        world.segments.iter().flat_map(|wall| [wall.from, wall.to, 0.5 * (wall.from + wall.to)]).collect()
+    }
+
+    proptest! {
+        #[test]
+        fn a_scan_at_once_is_that_of_single_rays(
+            which in prop::sample::select(vec![BuiltIn::Corridor, BuiltIn::Room]),
+            (x, y, yaw) in (-15.0..15.0, -9.0..9.0, -4.0..4.0),
+            corner in prop::option::weighted(0.2, any::<prop::sample::Index>()),
+            (beams, view, clockwise) in (10_u32..1100, prop_oneof![Just(1.0), 0.1..1.0], any::<bool>()),
+            max in 0.5..40.0,
+        ) {
+            let (world, _) = which.draw();
+            let place = corner.map_or(Point::new(x, y), |corner| *corner.get(&corners(&world)));
+            let increment = view * TAU / f64::from(beams - 1) * if clockwise { -1.0 } else { 1.0 };
+            let beams = BeamGeometry::new(-0.5 * view * TAU, increment, beams as usize);
+            let rays = Rays::new(&beams, &Pose2::new(place.x, place.y, yaw));
+            let one_by_one: Vec<_> =
+                (0..rays.len()).map(|ray| world.range(rays.origin(), rays.direction(ray), max)).collect();
+            prop_assert_eq!(world.ranges(&rays, max), one_by_one);
+        }
     }
 }

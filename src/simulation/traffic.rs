@@ -9,6 +9,7 @@ use crate::geometry::{Point, Pose2};
 use crate::knobs;
 
 use super::motion::{Motion, TICK};
+use super::rays::Rays;
 use super::route::Route;
 use super::shapes::Shapes;
 use super::world::World;
@@ -148,6 +149,11 @@ impl World for Moment<'_> {
     fn range(&self, origin: Point, direction: Point, max: f64) -> Option<f64> {
         let ranges = [self.movers.range(origin, direction, max), self.world.range(origin, direction, max)];
         ranges.into_iter().flatten().min_by(f64::total_cmp)
+    }
+
+    fn ranges(&self, rays: &Rays, max: f64) -> Vec<Option<f64>> {
+        let pairs = self.movers.ranges(rays, max).into_iter().zip(self.world.ranges(rays, max));
+        pairs.map(|(mover, wall)| mover.into_iter().chain(wall).min_by(f64::total_cmp)).collect()
     }
 
     fn clearance(&self, point: Point) -> f64 {

@@ -10,6 +10,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::graph::{Graph, PATIENCE, call, eventually};
 
+/// What the scan matcher is called.
+const NODE: &str = "/scan_matcher";
+
 /// A publisher in the master's books that answers whoever asks for its port, and leaves the rest to the test.
 pub struct Publisher {
     name: String,
@@ -97,16 +100,22 @@ fn answer_requests(api: &TcpListener, port: u16) {
     }
 }
 
-/// Somebody who hears a topic of the node.
+/// Somebody who hears a topic of a node.
 pub struct Listener {
     pub stream: TcpStream,
 }
 
 impl Listener {
-    /// Connects and says what a subscriber says first.
+    /// Of the scan matcher.
     pub fn new(graph: &Graph, topic: &str) -> Self {
-        let mut stream = connect(graph, topic);
-        stream.write_all(&header(&[("callerid", "/listener"), ("topic", topic), ("md5sum", "*"), ("type", "*")])).unwrap();
+        Self::of(graph, NODE, topic)
+    }
+
+    /// Connects and says what a subscriber says first.
+    pub fn of(graph: &Graph, node: &str, topic: &str) -> Self {
+        let mut stream = connect_to(graph, node, topic);
+        let fields = [("callerid", "/listener"), ("topic", topic), ("md5sum", "*"), ("type", "*"), ("tcp_nodelay", "1")];
+        stream.write_all(&header(&fields)).unwrap();
         read_block(&mut stream).unwrap();
         std::thread::sleep(Duration::from_millis(200)); // the node adds it to those it sends to
         Self { stream }
@@ -131,9 +140,13 @@ impl Listener {
     }
 }
 
-/// A connection to the port where the node publishes `topic`; nothing has been said.
+/// A connection to the port where the scan matcher publishes `topic`; nothing has been said.
 pub fn connect(graph: &Graph, topic: &str) -> TcpStream {
-    let answer = graph.call_master("lookupNode", &["/test", "/scan_matcher"]);
+    connect_to(graph, NODE, topic)
+}
+
+fn connect_to(graph: &Graph, node: &str, topic: &str) -> TcpStream {
+    let answer = graph.call_master("lookupNode", &["/test", node]);
     let api = answer.split("http://").nth(1).unwrap().split('/').next().unwrap();
     let protocols =
         "<array><data><value><array><data><value><string>TCPROS</string></value></data></array></value></data></array>";

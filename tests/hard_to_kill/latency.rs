@@ -1,4 +1,5 @@
-//! From a scan on its way to its pose on its way back, over loopback; and beside it what a bare echo of as many bytes takes there.
+//! From a scan on its way to its pose on its way back, over loopback; and beside it what an echo takes there: a node of roscpp that
+//! answers each scan with a pose, and bare bytes.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -8,13 +9,14 @@ use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 
 use crate::bench::{Bench, send};
+use crate::roscpp::{hear_echo, start_echo};
+use crate::wire::Listener;
 
-/// Sends `count` scans at `hertz`; the latencies of those that were answered, in ascending order.
-fn measure(bench: &mut Bench, count: u32, hertz: f64) -> Vec<Duration> {
-    let scans: Vec<LaserScan> = (0..count).map(|_| bench.next_scan()).collect();
-    let last = scans.last().unwrap().header.stamp;
-    let mut stream = bench.scans.try_clone().unwrap();
+/// Sends scans at `hertz`; the latencies of those that were answered, in ascending order.
+fn measure(scans: &[LaserScan], hertz: f64, link: &mut TcpStream, poses: &mut Listener) -> Vec<Duration> {
     let stamps: Vec<_> = scans.iter().map(|scan| scan.header.stamp).collect();
+    let last = *stamps.last().unwrap();
+    let (mut stream, scans) = (link.try_clone().unwrap(), scans.to_vec());
     let sender = std::thread::spawn(move || {
         let start = Instant::now();
         let send_one = |(number, scan): (u32, &LaserScan)| {
@@ -28,7 +30,7 @@ fn measure(bench: &mut Bench, count: u32, hertz: f64) -> Vec<Duration> {
     });
     let mut answers = Vec::new();
     while answers.last().is_none_or(|(stamp, _)| *stamp != last) {
-        let pose: PoseStamped = bench.poses.next();
+        let pose: PoseStamped = poses.next();
         answers.push((pose.header.stamp, Instant::now()));
     }
     let sent = sender.join().unwrap();
@@ -38,7 +40,7 @@ fn measure(bench: &mut Bench, count: u32, hertz: f64) -> Vec<Duration> {
     latencies
 }
 
-/// The latencies of an echo: of the bytes of a scan, all but a pose's worth are kept.
+/// The latencies of a bare echo: of the bytes of a scan, all but a pose's worth are kept.
 fn measure_echo(count: u32, hertz: f64, bytes: usize) -> Vec<Duration> {
     const POSE: usize = 100;
     let listener = TcpListener::bind("localhost:0").unwrap();
@@ -69,19 +71,23 @@ fn print(what: &str, latencies: &[Duration]) {
     eprintln!("{what}: {} answers, p50 {median:?}, p99 {tail:?}, max {longest:?}", latencies.len());
 }
 
+/// `at_least`: so many scans are answered on the busiest machine.
+fn compare(beams: usize, count: u32, hertz: f64, at_least: usize) {
+    let Some(mut bench) = Bench::start(beams) else { return };
+    bench.step();
+    let scans: Vec<LaserScan> = (0..count).map(|_| bench.next_scan()).collect();
+    let ours = measure(&scans, hertz, &mut bench.scans, &mut bench.poses);
+    print(&format!("{beams} beams at {hertz} Hz"), &ours);
+    if let Some(_echo) = start_echo(&bench.graph) {
+        let mut link = bench.lidar.link();
+        print("  an echo by roscpp", &measure(&scans, hertz, &mut link, &mut hear_echo(&bench.graph)));
+    }
+    print("  an echo of bare bytes", &measure_echo(count, hertz, 4 * beams));
+    assert!(ours.len() > at_least, "{}", ours.len());
+}
+
 #[test]
 fn latency_of_a_pose() {
-    let Some(mut bench) = Bench::start(1081) else { return };
-    bench.step();
-    let at_40 = measure(&mut bench, 200, 40.0);
-    print("1081 beams at 40 Hz", &at_40);
-    print("an echo of 1081 beams at 40 Hz", &measure_echo(200, 40.0, 4 * 1081));
-    assert!(at_40.len() > 150, "{}", at_40.len());
-    drop(bench);
-    let Some(mut bench) = Bench::start(181) else { return };
-    bench.step();
-    let at_1000 = measure(&mut bench, 2000, 1000.0);
-    print("181 beams at 1 kHz", &at_1000);
-    print("an echo of 181 beams at 1 kHz", &measure_echo(2000, 1000.0, 4 * 181));
-    assert!(at_1000.len() > 300, "{}", at_1000.len());
+    compare(1081, 200, 40.0, 150);
+    compare(181, 2000, 1000.0, 300);
 }

@@ -17,6 +17,7 @@ mod latency;
 mod master;
 mod recording;
 mod resources;
+mod roscpp;
 mod soak;
 #[path = "../common/wire.rs"]
 mod wire;

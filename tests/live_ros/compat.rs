@@ -11,14 +11,14 @@ use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::scan::ScanConverter;
 use anytime_scan_matcher::time::Stamp;
 use rosrust::RosMsg as _;
-use rosrust_msg::geometry_msgs::Pose2D;
+use rosrust_msg::geometry_msgs::{Pose2D, PoseWithCovariance};
 
 use crate::common::Laser;
 use crate::drive::{at, base_pose, header, odometry, room_from_odom};
 use crate::graph::Graph;
 
 const SCANS: u32 = 80;
-const OUTPUTS: [&str; 4] = ["/pose2D", "/pose_stamped", "/pose_with_covariance_stamped", "/tf"];
+const OUTPUTS: [&str; 5] = ["/pose2D", "/pose_stamped", "/pose_with_covariance", "/pose_with_covariance_stamped", "/tf"];
 
 /// The points of a scan from `pose`, in 32 bits.
 #[allow(clippy::cast_possible_truncation)] // messages carry 32 bits
@@ -70,8 +70,8 @@ fn assert_on_the_way(stamp: Stamp, pose: Pose2) {
 }
 
 /// Checks every pose of a recording; how many messages each topic of [`OUTPUTS`] has.
-fn check(recorded: &Path) -> [usize; 4] {
-    let mut counts = [0; 4];
+fn check(recorded: &Path) -> [usize; 5] {
+    let mut counts = [0; 5];
     for message in Bag::open(recorded).unwrap().messages(None) {
         let message = message.unwrap();
         let topic = OUTPUTS.iter().position(|topic| *topic == message.connection.topic).unwrap();
@@ -84,6 +84,10 @@ fn check(recorded: &Path) -> [usize; 4] {
                 assert_on_the_way(pose.header.stamp.into(), planar_pose(&pose.pose).unwrap());
             }
             2 => {
+                let message = PoseWithCovariance::decode(&message.data[..]).unwrap();
+                assert!(message.covariance[0] > 0.0 && message.pose.orientation.w.is_finite());
+            }
+            3 => {
                 let pose: PoseWithCovarianceStamped = message.decode().unwrap();
                 assert_on_the_way(pose.header.stamp.into(), planar_pose(&pose.pose.pose).unwrap());
                 assert!(pose.pose.covariance[0] > 0.0 && pose.pose.covariance[35] > 0.0, "filters refuse zeros");
@@ -111,8 +115,13 @@ fn the_launch_file_puts_it_in_the_place_of_laser_scan_matcher() {
     for clouds in [false, true] {
         let bag = write(&graph, clouds);
         let input = format!("use_cloud_input:={clouds}");
-        let arguments =
-            [params.as_str(), input.as_str(), "publish_pose_stamped:=true", "publish_pose_with_covariance_stamped:=true"];
+        let arguments = [
+            params.as_str(),
+            input.as_str(),
+            "publish_pose_stamped:=true",
+            "publish_pose_with_covariance:=true",
+            "publish_pose_with_covariance_stamped:=true",
+        ];
         let launch = graph.launch("laser_scan_matcher_compat.launch", &arguments);
         launch.expect_log("these parameters mean nothing here and are ignored: cloud_res, use_sigma_weights");
         launch.expect_log(if clouds { "matches /cloud with /odom" } else { "matches /scan with /odom" });

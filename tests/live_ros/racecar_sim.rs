@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
+use std::thread;
 use std::time::Duration;
 
 use anytime_scan_matcher::app::planar_pose;
@@ -10,6 +11,7 @@ use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::messages::ackermann_msgs::{AckermannDrive, AckermannDriveStamped};
 use anytime_scan_matcher::messages::geometry_msgs::{PoseStamped, PoseWithCovarianceStamped, Twist, Vector3};
+use anytime_scan_matcher::messages::header_stamp;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
@@ -18,8 +20,8 @@ use rosrust::RosMsg as _;
 use rosrust_msg::anytime_scan_matcher::MatchReport;
 
 use crate::drive::pose_message;
-use crate::graph::{Graph, PATIENCE, Process, eventually};
-use crate::wire::say;
+use crate::graph::{Graph, PACKAGE, PATIENCE, Process, eventually};
+use crate::wire::{Listener, say};
 
 /// Where the simulator is told to put the car: far from where it drives at that time.
 const CARRIED_TO: [Pose2; 2] = [Pose2 { x: 0.0, y: 6.1, theta: 3.1 }, Pose2 { x: 11.4, y: 0.0, theta: 1.57 }];
@@ -101,7 +103,7 @@ fn worst(answers: &[(Pose2, Pose2)], aligned: bool) -> f64 {
 }
 
 fn wait(seconds: f64) {
-    std::thread::sleep(Duration::from_secs_f64(seconds));
+    thread::sleep(Duration::from_secs_f64(seconds));
 }
 
 /// Runs the launch file while the car drives by itself and is carried off twice; what was recorded.
@@ -210,4 +212,46 @@ fn the_simulator_obeys_drive_and_cmd_vel() {
         assert!(simulator.log().contains(remedy), "{}", simulator.log());
         graph.output("rosparam", &["delete", "/racecar_sim"]);
     }
+}
+
+/// F1TENTH's simulator is not packaged: a package of its name shows that the launch file starts what it finds there.
+#[test]
+fn the_launch_file_starts_f1tenths_simulator_where_there_is_one() {
+    let Some(graph) = Graph::without_master() else { return };
+    let package = graph.dir.path().join("racecar_simulator");
+    fs::create_dir_all(package.join("launch")).unwrap();
+    fs::write(package.join("package.xml"), "<package><name>racecar_simulator</name></package>").unwrap();
+    let launch = r#"<launch><node pkg="racecar_simulator" type="simulator" name="racecar_simulator"/></launch>"#;
+    fs::write(package.join("launch/simulator.launch"), launch).unwrap();
+    let packages = format!("{}:{PACKAGE}:/usr/share", graph.dir.path().display());
+    let mut roslaunch = graph.command("roslaunch");
+    roslaunch.env("ROS_PACKAGE_PATH", packages).args(["--nodes", "anytime_scan_matcher", "racecar_simulator.launch"]);
+    let output = roslaunch.output().unwrap();
+    let nodes = String::from_utf8(output.stdout).unwrap();
+    let mut nodes: Vec<&str> = nodes.split_whitespace().collect();
+    nodes.sort_unstable();
+    assert_eq!(nodes, ["/racecar_simulator", "/scan_matcher"], "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// As fast as `racecar_simulator`: 1000 Hz on a quiet machine. A quarter is asked of a busy one.
+#[test]
+fn scans_and_odometry_come_a_thousand_times_a_second() {
+    const MOMENT: f64 = 5.0;
+    let Some(graph) = Graph::start() else { return };
+    let simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &["_autopilot:=true"]);
+    simulator.expect_log("simulates a racecar in corridor");
+    let rate = |topic: &str| {
+        let mut listener = Listener::of(&graph, "/racecar_sim", topic);
+        thread::spawn(move || {
+            let mut next = || header_stamp(&listener.next_bytes().unwrap()).unwrap();
+            let (first, mut seconds, mut count) = (next(), 0.0, 0.0);
+            while seconds < MOMENT {
+                (seconds, count) = (next().seconds_since(first), count + 1.0);
+            }
+            count / seconds
+        })
+    };
+    let [scans, odometry] = ["/scan", "/odom"].map(rate).map(|rate| rate.join().unwrap());
+    eprintln!("{scans:.1} scans and {odometry:.1} poses a second");
+    assert!(scans > 250.0 && odometry > 250.0, "{scans:.1} {odometry:.1}");
 }

@@ -98,8 +98,8 @@ impl Worker {
         let mut urgency = Urgency::of_this_thread();
         urgency.set(false);
         self.read_map_file();
-        let mut timer = Timer::new(self.config.localization.update_period.0, self.clock.now());
-        while let Some(Work { events, scan }) = self.next_work(&timer) {
+        let mut timer = self.config.localization.timer(self.clock.now());
+        while let Some(Work { events, scan }) = self.next_work(timer.as_ref()) {
             for event in events {
                 self.handle(event);
             }
@@ -108,23 +108,21 @@ impl Worker {
                 self.mailbox.count_lost_scans(unused.into());
             }
             let now = self.clock.now();
-            if timer.is_due(now) {
+            if timer.as_mut().is_none_or(|timer| timer.is_due(now)) {
                 match self.held.take() {
                     // Where a timer calls for the update, the time counts from its call.
-                    Some(letter) => self.answer(
-                        &Letter { arrival: if timer.has_period() { now } else { letter.arrival }, ..letter },
-                        &mut urgency,
-                    ),
-                    None if timer.has_period() => self.carry_on(),
+                    Some(letter) => self
+                        .answer(&Letter { arrival: if timer.is_some() { now } else { letter.arrival }, ..letter }, &mut urgency),
+                    None if timer.is_some() => self.carry_on(),
                     None => {}
                 }
             }
         }
     }
 
-    fn next_work(&self, timer: &Timer) -> Option<Work<Input>> {
-        match timer.left(self.clock.now()) {
-            Some(left) => self.mailbox.take_within(left),
+    fn next_work(&self, timer: Option<&Timer>) -> Option<Work<Input>> {
+        match timer {
+            Some(timer) => self.mailbox.take_within(timer.left(self.clock.now())),
             None => self.mailbox.take(),
         }
     }

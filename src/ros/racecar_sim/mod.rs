@@ -8,7 +8,6 @@
 //!
 //! The oddities are in `face`. Its sideslip and the wheels' transforms are left out.
 
-mod beat;
 mod face;
 mod ground;
 mod simulator;

@@ -7,10 +7,10 @@ use std::time::Duration;
 use rand_pcg::Pcg64;
 use rosrust::api::{Master, Ros};
 
-use super::beat::Beat;
 use super::ground::Ground;
 use super::{RacecarSimKnobs, face};
 use crate::anytime::clock::{Clock, MonotonicClock};
+use crate::anytime::timer::Timer;
 use crate::app::planar_pose;
 use crate::geometry::Pose2;
 use crate::messages::Message as _;
@@ -34,8 +34,12 @@ use crate::simulation::vehicle::{Command, VehicleKnobs};
 use crate::simulation::world::World;
 use crate::time::Stamp;
 
-/// A machine that was asleep does not make the car drive on blindly for longer than this, s.
-const LONGEST_STEP: f64 = 0.1;
+/// What comes late by no more than this is made up for, and ROS's time is not looked at more closely.
+const LONGEST_LAG: Duration = Duration::from_millis(20);
+/// A machine that was asleep does not make the car drive on blindly for longer than this.
+const LONGEST_STEP: Duration = Duration::from_millis(100);
+/// From one look at the master to the next.
+const MASTER_CHECKS: Duration = Duration::from_secs(1);
 /// Slower than this a car that is told a yaw rate cannot turn, m/s.
 const LEAST_TURNING_SPEED: f64 = 1e-3;
 
@@ -87,6 +91,8 @@ impl Outlets {
 pub(super) struct Simulator<'a> {
     ros: &'a Ros,
     clock: Arc<dyn Clock>,
+    /// ROS's time when the clock read zero.
+    zero: Stamp,
     master: MasterLink<'a>,
     letters: Receiver<(Input, Letter)>,
     outlets: Outlets,
@@ -97,8 +103,8 @@ pub(super) struct Simulator<'a> {
     wheelbase: f64,
     driver: Option<Driver<'a>>,
     command: Command,
-    poses: Beat,
-    scans: Beat,
+    poses: Timer,
+    scans: Timer,
     /// Numbers of the last pose and scan, for the headers.
     numbers: (u32, u32),
     reader: Reader,
@@ -130,9 +136,11 @@ impl<'a> Simulator<'a> {
         let RacecarSimKnobs { world, rate, scan_rate, wheelbase, seed, .. } = knobs;
         log.info(&format!("simulates a racecar in {world}: poses at {rate} Hz, scans at {scan_rate} Hz"));
         let (now, reader) = (clock.now(), Reader::new(&clock, &log));
+        let period = |rate: f64| Duration::from_secs_f64(rate.recip());
         Ok(Self {
             ros,
             clock,
+            zero: Stamp::default(),
             master,
             letters,
             outlets,
@@ -143,8 +151,8 @@ impl<'a> Simulator<'a> {
             wheelbase: *wheelbase,
             driver: ground.driver(knobs),
             command: Command::default(),
-            poses: Beat::new(*rate, now),
-            scans: Beat::new(*scan_rate, now),
+            poses: Timer::new(period(*rate), now),
+            scans: Timer::new(period(*scan_rate), now),
             numbers: (0, 0),
             reader,
             _links: links,
@@ -153,42 +161,72 @@ impl<'a> Simulator<'a> {
 
     /// Until somebody wants it to stop.
     pub(super) fn run(mut self, stop: &StopSignal) {
-        let mut last = self.clock.now();
-        let mut looks = Beat::new(1.0, last);
+        let mut time = self.clock.now();
+        let mut looks = Timer::new(MASTER_CHECKS, time);
         while !stop.wait(Duration::ZERO) && self.ros.is_ok() {
             let now = self.clock.now();
-            self.drive_on(now.saturating_sub(last).as_secs_f64().min(LONGEST_STEP));
-            last = now;
-            self.publish(now);
+            self.catch_up(time, now);
+            time = now;
             if looks.is_due(now) {
                 self.master.check();
             }
-            let rest = self.poses.next().min(self.scans.next()).saturating_sub(self.clock.now());
+            // However rarely it says something, the car drives on.
+            let rest = self.rest(self.clock.now()).min(LONGEST_LAG / 2);
             if let Ok((input, letter)) = self.letters.recv_timeout(rest) {
                 self.handle(input, &letter);
             }
         }
     }
 
-    fn drive_on(&mut self, seconds: f64) {
+    /// From one moment at which something is due to the next, until now: the scheduler's delays leave no gaps in what is published.
+    fn catch_up(&mut self, mut time: Duration, now: Duration) {
+        self.look_at_ros_time(now);
+        let lag = now.saturating_sub(time);
+        if let Some(lost) = lag.checked_sub(LONGEST_LAG) {
+            self.drive_on(lost.min(LONGEST_STEP));
+            time += lost;
+        }
+        while time < now {
+            let step = self.rest(time).min(now.saturating_sub(time));
+            self.drive_on(step);
+            time += step;
+            self.publish(time);
+        }
+    }
+
+    /// Somebody may have set its clock. Small differences are delays between two readings, and would turn stamps back.
+    fn look_at_ros_time(&mut self, now: Duration) {
+        let time = self.ros.now();
+        let zero = Stamp::from_ros(time.sec, time.nsec).offset_by(-now.as_secs_f64());
+        if zero.seconds_since(self.zero).abs() > LONGEST_LAG.as_secs_f64() {
+            self.zero = zero;
+        }
+    }
+
+    /// Time until something is due.
+    fn rest(&self, time: Duration) -> Duration {
+        self.poses.left(time).min(self.scans.left(time))
+    }
+
+    fn drive_on(&mut self, span: Duration) {
         if let Some(driver) = &mut self.driver {
             self.command = driver.command(&self.car.map_from_base(), self.car.twist().vx);
         }
-        self.car.step(self.command, seconds);
+        self.car.step(self.command, span.as_secs_f64());
     }
 
-    /// What is due now, all of it with the same stamp.
-    fn publish(&mut self, now: Duration) {
-        let time = self.ros.now();
-        let (stamp, pose, twist) = (Stamp::from_ros(time.sec, time.nsec), self.car.map_from_base(), self.car.twist());
-        if self.poses.is_due(now) {
+    /// What is due at a time, all of it with the same stamp.
+    fn publish(&mut self, time: Duration) {
+        let stamp = self.zero.offset_by(time.as_secs_f64());
+        let (pose, twist) = (self.car.map_from_base(), self.car.twist());
+        if self.poses.is_due(time) {
             self.numbers.0 = self.numbers.0.wrapping_add(1);
             let number = self.numbers.0;
             self.outlets.truth.send(|| face::ground_truth(number, pose));
             self.outlets.odometry.send(|| face::odometry(number, stamp, pose, twist));
             self.outlets.transforms.send(|| face::transforms(number, stamp, pose, self.base_from_laser));
         }
-        if self.scans.is_due(now) {
+        if self.scans.is_due(time) {
             self.numbers.1 = self.numbers.1.wrapping_add(1);
             let (number, world, lidar) = (self.numbers.1, self.world, &mut self.lidar);
             self.outlets.scan.send(|| face::scan(number, lidar.scan(|_| world, |_| pose, stamp)));
