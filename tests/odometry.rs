@@ -126,6 +126,20 @@ fn one_scan_in_five_may_be_lost() {
 }
 
 #[test]
+fn people_are_no_places_to_go_by() {
+    let mut settings = settings(3.0, 0.0);
+    settings.drive.duration = Seconds(40.0);
+    let mut of = |seed, walkers| {
+        (settings.drive.seed, settings.traffic.walkers) = (seed, walkers);
+        error(&answers(&settings, &mut app(&[]), |_| true, |_| {}))
+    };
+    let mut crowded: Vec<f64> = (0..7).map(|seed| of(seed, 60)).collect();
+    crowded.sort_by(f64::total_cmp);
+    println!("60 people about, seven drives: {crowded:.4?} m; nobody: {:.4} m", of(0, 0));
+    assert!(crowded[3] < 0.02, "{crowded:?}");
+}
+
+#[test]
 fn a_wheel_that_spins_is_survived() {
     let settings = settings(3.0, 0.0);
     let (mut count, spin) = (0, Pose2::new(0.0, 0.0, 60_f64.to_radians()));

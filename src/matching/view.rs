@@ -6,8 +6,15 @@ use std::f64::consts::TAU;
 use fearless_simd::{Simd, f32x8, i32x8, prelude::*, u32x8};
 
 use super::surface::{LANES, Surface};
-use crate::geometry::Point;
+use crate::geometry::{Point, Pose2};
 use crate::scan::Scan;
+
+/// A beam that has looked through something, and so many to either side, went so much farther, ...
+const BESIDE: usize = 2;
+/// ... as a part of the way there ...
+const BEYOND: f64 = 0.02;
+/// ... and m.
+const BEYOND_METRES: f64 = 0.2;
 
 /// A scan with the surfaces that were fitted to it.
 #[derive(Clone, Debug)]
@@ -64,6 +71,29 @@ impl View {
 
     pub(super) fn surfaces(&self) -> &[Surface] {
         &self.surfaces
+    }
+
+    /// The places of surfaces that another laser has looked through: what stood there has moved. `other_from_self`: pose of this view's
+    /// laser in the other's frame.
+    pub fn seen_through<'a>(&'a self, other: &'a Self, other_from_self: &Pose2) -> impl Iterator<Item = usize> + 'a {
+        let (own, others, transform) = (self.bearings(), other.bearings(), other_from_self.transform());
+        let ranges = other.scan.ranges();
+        self.scan.rays().filter_map(move |(_, direction, range)| {
+            let point = transform.apply(direction * range);
+            let (place, beam) = (own.beam(&direction), others.beam(&point));
+            // Beams to either side too: past an edge, and along a wall, the next one goes much farther. No measurement says nothing.
+            let around = ranges.get(beam.checked_sub(BESIDE)?..=beam + BESIDE)?;
+            let nearest = around.iter().fold(f64::INFINITY, |nearest, range| if *range >= nearest { nearest } else { *range });
+            let is_seen_through = nearest > (1.0 + BEYOND) * point.norm() + BEYOND_METRES;
+            (is_seen_through && !self.surfaces.get(place)?.is_none()).then_some(place)
+        })
+    }
+
+    /// Forgets the surfaces at some places.
+    pub fn forget(&mut self, places: &[usize]) {
+        for &place in places {
+            self.surfaces[place] = Surface::NONE;
+        }
     }
 
     /// Which beam looks which way.
@@ -130,8 +160,8 @@ fn angle<S: Simd>(x: f32x8<S>, y: f32x8<S>) -> f32x8<S> {
 mod tests {
     use fearless_simd::{Level, dispatch};
 
-    use super::super::line_fit::LineFitter;
     use super::*;
+    use crate::matching::line_fit::LineFitter;
     use crate::scan::BeamGeometry;
     use crate::time::Stamp;
 
@@ -154,6 +184,29 @@ mod tests {
                 assert_eq!(beams_at(&view, &point), [u32::try_from(i).unwrap(); LANES], "{angle_min} {increment}");
             }
         }
+    }
+
+    /// A wall 4 m ahead, and someone before it at 2 m in the beams from 40 to 49, if so.
+    fn wall(is_someone_there: bool) -> View {
+        let beams = BeamGeometry::new(-0.5, 0.01, 101);
+        let range = |i: usize, direction: &Point| if is_someone_there && (40..50).contains(&i) { 2.0 } else { 4.0 / direction.x };
+        let ranges: Vec<f64> = beams.directions().iter().enumerate().map(|(i, direction)| range(i, direction)).collect();
+        let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), ranges).unwrap();
+        let mut surfaces = Vec::new();
+        LineFitter::default().fit(&scan, 0.01, &mut surfaces);
+        View::new(scan, surfaces)
+    }
+
+    #[test]
+    fn who_has_gone_is_forgotten() {
+        let (mut before, after) = (wall(true), wall(false));
+        let still = Pose2::IDENTITY;
+        let gone: Vec<usize> = before.seen_through(&after, &still).collect();
+        assert!(gone.len() >= 8 && gone.iter().all(|place| (40..50).contains(place)), "{gone:?}");
+        before.forget(&gone);
+        assert!(before.surfaces()[45].is_none() && !before.surfaces()[60].is_none());
+        assert_eq!(after.seen_through(&before, &still).count(), 0, "who has come hides the wall");
+        assert_eq!(after.seen_through(&wall(false), &Pose2::new(0.3, 0.2, 0.01)).count(), 0, "nothing has moved but the laser");
     }
 
     #[test]

@@ -73,6 +73,8 @@ pub(super) struct LocalMap {
     held_until: f64,
     /// How different the views near a pose are, and their indices; kept for its memory.
     near: Vec<(f64, usize)>,
+    /// Places of surfaces that were seen through; kept for its memory.
+    seen_through: Vec<usize>,
 }
 
 impl LocalMap {
@@ -98,6 +100,30 @@ impl LocalMap {
         self.keyframes.push_back(Keyframe { place, view, way });
         let oldest = self.keyframes[0].way;
         self.links.retain(|link| link.earlier + SHORT_WAY >= oldest);
+    }
+
+    /// Forgets what has moved since: where the last keyframe looked through surfaces of those that scans were matched to, and where they
+    /// had looked through its own.
+    pub(super) fn forget_moved(&mut self) {
+        let Some(last) = self.keyframes.len().checked_sub(1) else { return };
+        for i in 0..last {
+            if self.matched.contains(&self.keyframes[i].way) {
+                self.forget_seen_through(i, last);
+                self.forget_seen_through(last, i);
+            }
+        }
+    }
+
+    /// Forgets the surfaces of keyframe `seen` that keyframe `looking` has looked through.
+    fn forget_seen_through(&mut self, seen: usize, looking: usize) {
+        let mut places = std::mem::take(&mut self.seen_through);
+        places.clear();
+        let [of, by] = [seen, looking].map(|i| &self.keyframes[i]);
+        places.extend(of.view.seen_through(&by.view, &by.place.map_from_laser.between(&of.place.map_from_laser)));
+        if !places.is_empty() {
+            Arc::make_mut(&mut self.keyframes[seen].view).forget(&places);
+        }
+        self.seen_through = places;
     }
 
     /// The last keyframe: where it was taken, and what was seen there.

@@ -372,6 +372,7 @@ impl LaserOdometry {
         if let Some(UpcomingKeyframe { scan, place, is_lost }) = upcoming {
             let most = if keeps_map { self.knobs.max_keyframes } else { 1 };
             self.map.add(place, self.matcher.view(scan), is_lost, most as usize);
+            self.map.forget_moved();
             self.to_be_recognised = keeps_map && self.knobs.close_loops;
         }
         if changes {
