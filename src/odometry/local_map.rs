@@ -5,6 +5,7 @@
 //! been recognised as one of the other ([`LocalMap::link`]).
 
 use std::collections::VecDeque;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use crate::geometry::{Pose2, PoseCovariance};
@@ -69,6 +70,8 @@ pub(super) struct LocalMap {
     links: Vec<Link>,
     /// Ways to the keyframes that scans are matched to.
     matched: Vec<f64>,
+    /// Stretches of the path that are connected with those, by the ways to their ends; kept for its memory.
+    known: Vec<RangeInclusive<f64>>,
     /// To here along the path earlier keyframes have kept it from drifting, m.
     held_until: f64,
     /// How different the views near a pose are, and their indices; kept for its memory.
@@ -207,7 +210,24 @@ impl LocalMap {
     }
 
     fn is_known(&self, way: f64) -> bool {
-        self.matched.iter().any(|&matched| self.are_connected(matched, way))
+        self.known.iter().any(|known| known.contains(&way))
+    }
+
+    /// Finds what is connected with the keyframes that scans are matched to.
+    fn find_known(&mut self) {
+        let around = |way: f64, reach: f64| (way - reach)..=(way + reach);
+        self.known.clear();
+        for &matched in &self.matched {
+            self.known.push(around(matched, SHORT_WAY));
+            for &Link { later, earlier } in &self.links {
+                for (near, far) in [(later, earlier), (earlier, later)] {
+                    let rest = SHORT_WAY - (matched - near).abs();
+                    if rest >= 0.0 {
+                        self.known.push(around(far, rest));
+                    }
+                }
+            }
+        }
     }
 
     fn are_connected(&self, a: f64, b: f64) -> bool {
@@ -220,6 +240,7 @@ impl LocalMap {
 
     /// Notes the keyframes within reach that are admitted by the way to them, the ones that saw most first.
     fn find_near(&mut self, map_from_laser: &Pose2, admits: impl Fn(&Self, f64) -> bool) {
+        self.find_known();
         let mut near = std::mem::take(&mut self.near);
         near.clear();
         for (i, keyframe) in self.keyframes.iter().enumerate() {
