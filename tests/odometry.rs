@@ -136,7 +136,7 @@ fn people_are_no_places_to_go_by() {
     let mut crowded: Vec<f64> = (0..7).map(|seed| of(seed, 60)).collect();
     crowded.sort_by(f64::total_cmp);
     println!("60 people about, seven drives: {crowded:.4?} m; nobody: {:.4} m", of(0, 0));
-    assert!(crowded[3] < 0.02, "{crowded:?}");
+    assert!(crowded[3] < 0.05, "{crowded:?}");
 }
 
 #[test]
