@@ -373,7 +373,7 @@ impl Refinement<'_> {
     /// From the next iteration on about this many rays take part, as far as there are so many and they are allowed.
     pub fn use_rays(&mut self, count: usize) {
         // A level with nearly all rays is better taken with all.
-        self.next_rays = if 2 * count > self.finest { self.finest } else { count };
+        self.next_rays = if count > self.finest / 2 { self.finest } else { count };
     }
 
     /// Number of sensed rays that take part in the next iteration, or nearly so; of the search, as many as are as much work.
