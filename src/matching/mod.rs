@@ -14,6 +14,7 @@ pub mod rejection;
 mod search;
 pub mod solver;
 mod surface;
+mod symmetric_eigen;
 mod view;
 
 use std::f64::consts::FRAC_PI_2;

@@ -1,5 +1,6 @@
 //! What a laser saw from one place, ready to be matched to: at every beam, the surface that it met.
 
+use std::borrow::Cow;
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::f64::consts::TAU;
 
@@ -50,12 +51,7 @@ impl View {
                 sorted[place] = *surface;
             }
         }
-        // Where beams are farther apart than even ones, one place now and then has none.
-        for i in 1..self.scan.len() {
-            if sorted[i].is_none() && !sorted[i + 1].is_none() {
-                sorted[i] = sorted[i - 1];
-            }
-        }
+        fill_gaps(&mut sorted, Surface::is_none);
         self.surfaces = sorted;
     }
 
@@ -76,17 +72,37 @@ impl View {
     /// The places of surfaces that another laser has looked through: what stood there has moved. `other_from_self`: pose of this view's
     /// laser in the other's frame.
     pub fn seen_through<'a>(&'a self, other: &'a Self, other_from_self: &Pose2) -> impl Iterator<Item = usize> + 'a {
-        let (own, others, transform) = (self.bearings(), other.bearings(), other_from_self.transform());
-        let ranges = other.scan.ranges();
-        self.scan.rays().filter_map(move |(_, direction, range)| {
-            let point = transform.apply(direction * range);
-            let (place, beam) = (own.beam(&direction), others.beam(&point));
-            // Beams to either side too: past an edge, and along a wall, the next one goes much farther. No measurement says nothing.
+        let (bearings, transform) = (other.bearings(), other_from_self.transform());
+        let (own_ranges, ranges) = (self.ranges_by_bearing(), other.ranges_by_bearing());
+        (0..self.scan.len()).filter_map(move |place| {
+            if self.surfaces.get(place)?.is_none() {
+                return None;
+            }
+            let (sin, cos) = self.scan.beams().angle(place).sin_cos();
+            let point = transform.apply(Point::new(cos, sin) * own_ranges[place]);
+            let beam = bearings.beam(&point);
+            // Beams to either side too: past an edge, and along a wall, the next one goes much farther.
             let around = ranges.get(beam.checked_sub(BESIDE)?..=beam + BESIDE)?;
-            let nearest = around.iter().fold(f64::INFINITY, |nearest, range| if *range >= nearest { nearest } else { *range });
-            let is_seen_through = nearest > (1.0 + BEYOND) * point.norm() + BEYOND_METRES;
-            (is_seen_through && !self.surfaces.get(place)?.is_none()).then_some(place)
+            let beyond = (1.0 + BEYOND) * point.norm() + BEYOND_METRES;
+            // No measurement says nothing.
+            around.iter().all(|&range| range > beyond).then_some(place)
         })
+    }
+
+    /// Ranges where the beams of even spacing would be, m; NaN where there is no measurement.
+    fn ranges_by_bearing(&self) -> Cow<'_, [f64]> {
+        if self.scan.beams().is_even() {
+            return self.scan.ranges().into();
+        }
+        let bearings = self.bearings();
+        let mut sorted = vec![f64::NAN; self.scan.len()];
+        for (_, direction, range) in self.scan.rays() {
+            if let Some(nearest) = sorted.get_mut(bearings.beam(&direction)) {
+                *nearest = range.min(*nearest);
+            }
+        }
+        fill_gaps(&mut sorted, |range| range.is_nan());
+        sorted.into()
     }
 
     /// Forgets the surfaces at some places.
@@ -107,6 +123,15 @@ impl View {
             turn: (TAU * per_radian.abs()) as f32,
             per_turn: (TAU * per_radian.abs()).recip() as f32,
             beams: self.scan.len() as f32,
+        }
+    }
+}
+
+/// Where beams are farther apart than even ones, one place now and then has none: it takes after the one before.
+fn fill_gaps<T: Copy>(places: &mut [T], is_none: impl Fn(&T) -> bool) {
+    for i in 1..places.len().saturating_sub(1) {
+        if is_none(&places[i]) && !is_none(&places[i + 1]) {
+            places[i] = places[i - 1];
         }
     }
 }
@@ -161,6 +186,7 @@ mod tests {
     use fearless_simd::{Level, dispatch};
 
     use super::*;
+    use crate::geometry::Twist2;
     use crate::matching::line_fit::LineFitter;
     use crate::scan::BeamGeometry;
     use crate::time::Stamp;
@@ -186,12 +212,17 @@ mod tests {
         }
     }
 
-    /// A wall 4 m ahead, and someone before it at 2 m in the beams from 40 to 49, if so.
-    fn wall(is_someone_there: bool) -> View {
+    /// A wall 4 m ahead, and someone before it at 2 m from -0.1 to 0 rad, if so; taken while the laser turned by `turn`, which has been
+    /// undone.
+    fn wall(is_someone_there: bool, turn: f64) -> View {
         let beams = BeamGeometry::new(-0.5, 0.01, 101);
-        let range = |i: usize, direction: &Point| if is_someone_there && (40..50).contains(&i) { 2.0 } else { 4.0 / direction.x };
-        let ranges: Vec<f64> = beams.directions().iter().enumerate().map(|(i, direction)| range(i, direction)).collect();
+        let range = |i: usize| {
+            let angle = beams.angle(i) + turn * i as f64 / 100.0;
+            if is_someone_there && (-0.101..-0.009).contains(&angle) { 2.0 } else { 4.0 / angle.cos() }
+        };
+        let ranges: Vec<f64> = (0..beams.len()).map(range).collect();
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), ranges).unwrap();
+        let scan = if turn == 0.0 { scan } else { scan.undistorted(&Twist2 { omega: turn, ..Twist2::default() }, 1.0) };
         let mut surfaces = Vec::new();
         LineFitter::default().fit(&scan, 0.01, &mut surfaces);
         View::new(scan, surfaces)
@@ -199,14 +230,26 @@ mod tests {
 
     #[test]
     fn who_has_gone_is_forgotten() {
-        let (mut before, after) = (wall(true), wall(false));
-        let still = Pose2::IDENTITY;
-        let gone: Vec<usize> = before.seen_through(&after, &still).collect();
-        assert!(gone.len() >= 8 && gone.iter().all(|place| (40..50).contains(place)), "{gone:?}");
-        before.forget(&gone);
-        assert!(before.surfaces()[45].is_none() && !before.surfaces()[60].is_none());
-        assert_eq!(after.seen_through(&before, &still).count(), 0, "who has come hides the wall");
-        assert_eq!(after.seen_through(&wall(false), &Pose2::new(0.3, 0.2, 0.01)).count(), 0, "nothing has moved but the laser");
+        for (turn_before, turn_after) in [(0.0, 0.0), (0.0, 0.2), (0.2, 0.0)] {
+            let (mut before, after) = (wall(true, turn_before), wall(false, turn_after));
+            let still = Pose2::IDENTITY;
+            let gone: Vec<usize> = before.seen_through(&after, &still).collect();
+            assert!(gone.len() >= 7 && gone.iter().all(|place| (39..51).contains(place)), "{gone:?}");
+            before.forget(&gone);
+            assert!(before.surfaces()[45].is_none() && !before.surfaces()[60].is_none());
+            assert_eq!(after.seen_through(&wall(true, turn_before), &still).count(), 0, "who has come hides the wall");
+            let moved = wall(false, 0.0);
+            assert_eq!(after.seen_through(&moved, &Pose2::new(0.3, 0.2, 0.01)).count(), 0, "nothing has moved but the laser");
+        }
+    }
+
+    #[test]
+    fn beams_without_a_measurement_look_through_nothing() {
+        let before = wall(true, 0.0);
+        let mut ranges = wall(false, 0.0).scan().ranges().to_vec();
+        ranges.iter_mut().step_by(4).for_each(|range| *range = f64::NAN);
+        let scan = Scan::new(Stamp::default(), before.scan().beams().clone().into(), (0.0, 100.0), ranges).unwrap();
+        assert_eq!(before.seen_through(&View::bare(scan), &Pose2::IDENTITY).count(), 0);
     }
 
     #[test]

@@ -169,7 +169,7 @@ impl LocalMap {
         self.find_near(map_from_laser, |map, way| !map.is_known(way));
         let &Keyframe { place: Placement { map_from_laser, .. }, way, .. } = &self.keyframes[self.near.first()?.1];
         let mut near = std::mem::take(&mut self.near);
-        near.retain(|&(_, i)| self.are_connected(way, self.keyframes[i].way));
+        near.retain(|&(_, i)| self.connected(way).any(|stretch| stretch.contains(&self.keyframes[i].way)));
         near.truncate(count);
         self.near = near;
         self.place_views(views);
@@ -215,27 +215,21 @@ impl LocalMap {
 
     /// Finds what is connected with the keyframes that scans are matched to.
     fn find_known(&mut self) {
-        let around = |way: f64, reach: f64| (way - reach)..=(way + reach);
-        self.known.clear();
-        for &matched in &self.matched {
-            self.known.push(around(matched, SHORT_WAY));
-            for &Link { later, earlier } in &self.links {
-                for (near, far) in [(later, earlier), (earlier, later)] {
-                    let rest = SHORT_WAY - (matched - near).abs();
-                    if rest >= 0.0 {
-                        self.known.push(around(far, rest));
-                    }
-                }
-            }
-        }
+        let mut known = std::mem::take(&mut self.known);
+        known.clear();
+        known.extend(self.matched.iter().flat_map(|&way| self.connected(way)));
+        self.known = known;
     }
 
-    fn are_connected(&self, a: f64, b: f64) -> bool {
-        let by_link = |&Link { later, earlier }: &Link| {
-            let detour = |a: f64, b: f64| (a - later).abs() + (b - earlier).abs();
-            detour(a, b).min(detour(b, a)) <= SHORT_WAY
-        };
-        (a - b).abs() <= SHORT_WAY || self.links.iter().any(by_link)
+    /// The stretches of the path that are a short way from a place on it, along the path or by a link.
+    fn connected(&self, way: f64) -> impl Iterator<Item = RangeInclusive<f64>> {
+        let around = |way: f64, reach: f64| (way - reach)..=(way + reach);
+        let by_links = self.links.iter().flat_map(|&Link { later, earlier }| [(later, earlier), (earlier, later)]);
+        let by_links = by_links.filter_map(move |(near, far)| {
+            let rest = SHORT_WAY - (way - near).abs();
+            (rest >= 0.0).then(|| around(far, rest))
+        });
+        std::iter::once(around(way, SHORT_WAY)).chain(by_links)
     }
 
     /// Notes the keyframes within reach that are admitted by the way to them, the ones that saw most first.

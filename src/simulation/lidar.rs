@@ -94,7 +94,8 @@ impl<'a> Lidar<'a> {
         let range_max = self.knobs.range_max;
         let distances = if self.sweep_time() > 0.0 {
             let distance = |(ray, &direction): (usize, &Point)| {
-                let (after, laser) = (self.ray_time(ray), laser(self.ray_time(ray)));
+                let after = self.ray_time(ray);
+                let laser = laser(after);
                 world(after).range(laser.translation(), laser.transform().rotate(direction), range_max)
             };
             self.beams.directions().iter().enumerate().map(distance).collect()

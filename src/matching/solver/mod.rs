@@ -7,7 +7,7 @@
 
 mod levenberg_marquardt;
 mod linearized;
-pub(super) mod point_to_line;
+mod point_to_line;
 mod point_to_point;
 
 use std::ops::AddAssign;

@@ -12,7 +12,8 @@
 use nalgebra::Matrix2;
 
 use super::{Metric, QuadraticForm, Solver, finite};
-use crate::geometry::{Point, Pose2, perpendicular};
+use crate::geometry::{Point, Pose2};
+use crate::matching::symmetric_eigen::SymmetricEigen;
 
 /// Below this ratio of eigenvalues a direction counts as not seen at all: it holds rounding only.
 const RANK_TOLERANCE: f64 = 1e-13;
@@ -61,40 +62,6 @@ impl PseudoInverse {
             return Some(Self { inverse, null_space: Matrix2::zeros() });
         }
         Some(Self { inverse, null_space: minor })
-    }
-}
-
-/// Eigenvalues (smaller first) and unit eigenvectors of a symmetric 2x2 matrix.
-pub(in crate::matching) struct SymmetricEigen {
-    pub(in crate::matching) values: Point,
-    pub(in crate::matching) minor: Point,
-    pub(in crate::matching) major: Point,
-}
-
-impl SymmetricEigen {
-    pub(in crate::matching) fn of(matrix: &Matrix2<f64>) -> Self {
-        let half_difference = 0.5 * (matrix.m11 - matrix.m22);
-        let mean = 0.5 * (matrix.m11 + matrix.m22);
-        let radius = half_difference.hypot(matrix.m12);
-        let major = half_angle(half_difference, matrix.m12, radius);
-        let larger = mean + radius;
-        // The smaller one from the determinant: mean - radius would be rounding for near-singular matrices.
-        let smaller = if larger == 0.0 { 0.0 } else { matrix.determinant() / larger };
-        let smaller = if mean >= 0.0 { smaller } else { mean - radius };
-        Self { values: Point::new(smaller, larger), minor: perpendicular(major), major }
-    }
-}
-
-/// The unit vector in the direction of half the angle of (x, y), of length `length`: by the larger of its cosine and its sine.
-fn half_angle(x: f64, y: f64, length: f64) -> Point {
-    let larger = (0.5 * (1.0 + x.abs() / length)).sqrt();
-    let smaller = 0.5 * y.abs() / (length * larger);
-    if length == 0.0 {
-        Point::x()
-    } else if x >= 0.0 {
-        Point::new(larger, smaller.copysign(y))
-    } else {
-        Point::new(smaller, larger.copysign(y))
     }
 }
 
