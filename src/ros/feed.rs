@@ -26,6 +26,7 @@ pub(super) struct Feed {
     pub(super) clock: Arc<dyn Clock>,
     pub(super) log: Log,
     pub(super) inlet: Mutex<Inlet>,
+    is_vital: bool,
     publishers: Mutex<Publishers>,
     refused: AtomicU64,
 }
@@ -42,8 +43,9 @@ struct Publishers {
 
 impl Feed {
     pub(super) fn new(topic: String, node: &str, master: Arc<Master>, clock: Arc<dyn Clock>, log: Log, inlet: Inlet) -> Self {
-        let publishers = Mutex::default();
-        Self { topic, node: node.into(), master, clock, log, inlet: Mutex::new(inlet), publishers, refused: AtomicU64::new(0) }
+        let (is_vital, inlet) = (inlet.topic.is_vital, Mutex::new(inlet));
+        let (publishers, refused) = (Mutex::default(), AtomicU64::new(0));
+        Self { topic, node: node.into(), master, clock, log, inlet, is_vital, publishers, refused }
     }
 
     /// Messages that were too long to be read.
@@ -51,10 +53,16 @@ impl Feed {
         self.refused.load(Ordering::Relaxed)
     }
 
-    /// Takes the master's word for who publishes: links to those that are new.
-    pub(super) fn set_publishers(self: &Arc<Self>, mut names: HashSet<String>) {
+    /// Whether nobody publishes what the node lives on.
+    pub(super) fn is_missed(&self) -> bool {
+        self.is_vital && lock(&self.publishers).wanted.is_empty()
+    }
+
+    /// Takes the master's word for who publishes: links to those that are new. Answers whether these are others than before.
+    pub(super) fn set_publishers(self: &Arc<Self>, mut names: HashSet<String>) -> bool {
         names.remove(&self.node);
         let mut publishers = lock(&self.publishers);
+        let has_changed = publishers.wanted != names;
         let new: Vec<String> = names.difference(&publishers.linked).cloned().collect();
         publishers.wanted = names;
         for publisher in new {
@@ -67,6 +75,7 @@ impl Feed {
                 Err(_) => {}
             }
         }
+        has_changed
     }
 
     /// Links to `publisher`, again and again, for as long as it is wanted.

@@ -28,11 +28,17 @@ pub(super) struct Topic {
     pub(super) name: &'static str,
     pub(super) message_type: &'static str,
     md5: &'static str,
+    /// The node lives on it: while nobody publishes it, it is looked for more often.
+    pub(super) is_vital: bool,
 }
 
 impl Topic {
     pub(super) fn of<T: Message>(name: &'static str) -> Self {
-        Self { name, message_type: T::TYPE, md5: T::MD5 }
+        Self { name, message_type: T::TYPE, md5: T::MD5, is_vital: false }
+    }
+
+    pub(super) fn vital<T: Message>(name: &'static str) -> Self {
+        Self { is_vital: true, ..Self::of::<T>(name) }
     }
 
     /// How it stands in the master's books.

@@ -19,8 +19,13 @@ use super::log::Log;
 use super::master::{connect, resolved};
 use crate::anytime::clock::Clock;
 
-/// Time between two questions to the master who publishes: `rosbag play` gives its subscribers 200 ms to come.
+/// Time between two questions to the master who publishes, while there is nobody to hear from or somebody has just come or gone:
+/// `rosbag play` gives its subscribers 200 ms to come.
 const PERIOD: Duration = Duration::from_millis(50);
+/// The same while everything is as it was: a question costs the machine a few milliseconds, which the answers to the scans would wait for.
+const CALM_PERIOD: Duration = Duration::from_secs(1);
+/// Who publishes several topics makes them known one after the other, and a launch file starts many nodes.
+const SETTLING: Duration = Duration::from_secs(2);
 /// A master of a large graph takes longer to answer. It is left alone for so many times as long.
 const REST: u32 = 10;
 
@@ -80,22 +85,28 @@ impl Drop for Links<'_> {
 
 impl Shared {
     fn watch(&self) {
+        let mut changed = Instant::now();
         while !self.closed.load(Ordering::Relaxed) {
             let asked = Instant::now();
             let state = self.master.get_system_state();
             let took = asked.elapsed();
-            if let Ok(state) = state {
-                self.update(&state.into());
+            if state.is_ok_and(|state| self.update(&state.into())) {
+                changed = asked;
             }
-            thread::park_timeout(PERIOD.max(REST * took));
+            let is_calm = changed.elapsed() > SETTLING && !self.feeds().iter().any(|feed| feed.is_missed());
+            let period = if is_calm { CALM_PERIOD } else { PERIOD };
+            thread::park_timeout(period.max(REST * took));
         }
     }
 
-    fn update(&self, state: &SystemState) {
+    /// Answers whether somebody has come or gone.
+    fn update(&self, state: &SystemState) -> bool {
+        let mut has_changed = false;
         for feed in self.feeds().iter() {
             let entry = state.publishers.iter().find(|entry| entry.name == feed.topic);
-            feed.set_publishers(entry.into_iter().flat_map(|entry| &entry.connections).cloned().collect());
+            has_changed |= feed.set_publishers(entry.into_iter().flat_map(|entry| &entry.connections).cloned().collect());
         }
+        has_changed
     }
 
     fn feeds(&self) -> MutexGuard<'_, Vec<Arc<Feed>>> {

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
+use std::thread;
 use std::time::Duration;
 
 use super::convert::Answer;
@@ -196,7 +197,10 @@ impl Matcher {
         };
         let number = self.publish_pose(&mut estimate);
         urgency.set(false);
+        // Threads of rosrust write what is published. Beside this one on the same processor they would wait for all that follows.
+        thread::yield_now();
         self.publish_details(&estimate, number);
+        thread::yield_now();
         self.app.maintain(&NextScan(&self.mailbox));
         if let Outcome::Predicted(problem) = &estimate.registration.outcome {
             self.reader.warn("scan", &format!("no match, the pose is the prediction: {problem}"));

@@ -53,8 +53,8 @@ impl Input {
 
     pub(super) fn topic(self) -> Topic {
         match self {
-            Self::Scan => Topic::of::<LaserScan>("scan"),
-            Self::Cloud => Topic::of::<PointCloud2>("cloud"),
+            Self::Scan => Topic::vital::<LaserScan>("scan"),
+            Self::Cloud => Topic::vital::<PointCloud2>("cloud"),
             Self::Odometry => Topic::of::<Odometry>("odom"),
             Self::Imu => Topic::of::<Imu>("imu/data"),
             Self::Velocity => Topic::of::<Twist>("vel"),

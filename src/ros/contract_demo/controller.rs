@@ -47,7 +47,7 @@ impl Input {
         match self {
             Self::Odometry => Topic::of::<Odometry>("icp/odom"),
             Self::State => Topic::of::<Int32>("icp_state"),
-            Self::Report => Topic::of::<MatchReport>("icp_report"),
+            Self::Report => Topic::vital::<MatchReport>("icp_report"),
         }
     }
 }

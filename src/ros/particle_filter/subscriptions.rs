@@ -49,7 +49,7 @@ impl Input {
 
     pub(super) fn topic(self) -> Topic {
         match self {
-            Self::Scan => Topic::of::<LaserScan>("scan"),
+            Self::Scan => Topic::vital::<LaserScan>("scan"),
             Self::Odometry => Topic::of::<Odometry>("odom"),
             Self::Map => Topic::of::<OccupancyGrid>("map"),
             Self::InitialPose => Topic::of::<PoseWithCovarianceStamped>("initialpose"),
