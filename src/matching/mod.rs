@@ -46,6 +46,8 @@ const SEARCH_ITERATIONS: usize = 5;
 const DISTRUST: f64 = 25.0;
 /// Each level of the coarse-to-fine schedule has so many times the rays of the one before.
 const LEVEL_RATIO: usize = 4;
+/// Coarse levels make do with so many views, the first ones.
+const COARSE_VIEWS: usize = 3;
 /// A coarse level is left when its steps are below this many epsilons: what remains, the finer one corrects anyway.
 const COARSE_EPSILONS: f64 = 10.0;
 
@@ -392,6 +394,7 @@ impl Refinement<'_> {
             return;
         }
         m.pairing.choose_rays(RayOrder::first(self.next_rays, self.scan.valid_len()));
+        m.pairing.choose_views(if self.next_rays < self.finest { COARSE_VIEWS } else { usize::MAX });
         m.rays_chosen = self.next_rays;
         self.level_start = m.trace.len();
     }

@@ -63,8 +63,8 @@ crate::knobs! {
     pub struct OdometryKnobs {
         /// What a scan is matched to: the scan before, the last keyframe, or the keyframes around.
         reference: ReferenceChoice = ReferenceChoice::LocalMap;
-        /// Keyframes that a scan is matched to at once: the three nearest, and some farther and farther out; where it is matched to nearest
-        /// points, to the first of them alone.
+        /// Keyframes that a scan is matched to at once: the three nearest, and some farther and farther out. Coarse levels make do with
+        /// the three; nearest points are looked for in the first of them alone.
         views: u32 = 6, in 1 to 20;
         /// Keyframes of the local map at most; beyond, the oldest go. One takes 30 bytes per beam.
         max_keyframes: u32 = 1000, in 1 to 10000;

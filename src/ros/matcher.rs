@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
-use std::thread;
 use std::time::Duration;
 
 use super::convert::Answer;
@@ -12,7 +11,7 @@ use super::interrupts::Interrupts;
 use super::live_params::MatchingChange;
 use super::log::Log;
 use super::mailbox::{Event, Mailbox, NextScan, Work};
-use super::priority::Urgency;
+use super::priority::{Urgency, let_writers_go_first};
 use super::publishers::Publishers;
 use super::reader::Reader;
 use super::services::Reply;
@@ -197,10 +196,9 @@ impl Matcher {
         };
         let number = self.publish_pose(&mut estimate);
         urgency.set(false);
-        // Threads of rosrust write what is published. Beside this one on the same processor they would wait for all that follows.
-        thread::yield_now();
+        let_writers_go_first();
         self.publish_details(&estimate, number);
-        thread::yield_now();
+        let_writers_go_first();
         self.app.maintain(&NextScan(&self.mailbox));
         if let Outcome::Predicted(problem) = &estimate.registration.outcome {
             self.reader.warn("scan", &format!("no match, the pose is the prediction: {problem}"));

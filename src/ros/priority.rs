@@ -53,6 +53,12 @@ fn of_nice(nice: i32) -> Option<ThreadPriority> {
     all.into_iter().find(|priority| priority.to_posix(NORMAL) == Ok(nice))
 }
 
+/// Lets the threads of rosrust go first that write what was published: woken on the processor of this one, they would wait for all that
+/// it goes on with, as long as the scheduler's slice of 3 ms.
+pub(super) fn let_writers_go_first() {
+    std::thread::yield_now();
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -81,6 +81,9 @@ pub(super) trait Pairing: Send {
     /// These of its rays take part from now on.
     fn choose_rays(&mut self, order: RayOrder);
 
+    /// No more than so many of the views take part from now on, the first ones.
+    fn choose_views(&mut self, _at_most: usize) {}
+
     /// Number of rays that take part.
     fn rays(&self) -> usize;
 

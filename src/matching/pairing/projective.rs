@@ -272,6 +272,8 @@ pub(in crate::matching) struct Projective {
     level: Level,
     fitter: LineFitter,
     views: Vec<PlacedView>,
+    /// Views that take part at most.
+    most_views: usize,
     sensed: Sensed,
     guess: FirstGuess,
     prior: QuadraticForm,
@@ -291,6 +293,7 @@ impl Projective {
             level: Level::new(),
             fitter: LineFitter::default(),
             views: Vec::new(),
+            most_views: usize::MAX,
             sensed: Sensed::default(),
             guess: Pose2::IDENTITY.into(),
             prior: QuadraticForm::default(),
@@ -300,6 +303,10 @@ impl Projective {
             form: QuadraticForm::default(),
             totals: Totals::default(),
         }
+    }
+
+    fn chosen_views(&self) -> &[PlacedView] {
+        &self.views[..self.views.len().min(self.most_views)]
     }
 
     /// The sums over the pairs with one view. Everything is in units of the noise's variance but the errors themselves, m.
@@ -428,6 +435,10 @@ impl Pairing for Projective {
         dispatch!(level, simd => self.sensed.choose(simd, order));
     }
 
+    fn choose_views(&mut self, at_most: usize) {
+        self.most_views = at_most;
+    }
+
     fn rays(&self) -> usize {
         self.sensed.chosen.len
     }
@@ -440,7 +451,7 @@ impl Pairing for Projective {
         self.distances.resize(self.sensed.inverse_square.len(), [f32::INFINITY; LANES]);
         self.beams.resize(self.sensed.inverse_square.len(), [0; LANES]);
         (self.form, self.totals) = (QuadraticForm::default(), Totals::default());
-        for view in 0..self.views.len() {
+        for view in 0..self.chosen_views().len() {
             let reference_from_view = self.views[view].reference_from_view;
             let view_from_sensed = reference_from_view.between(pose);
             let level = self.level;
@@ -468,7 +479,7 @@ impl Pairing for Projective {
 
     fn uncertainty(&mut self, pose: &Pose2, _metric: Metric) -> Uncertainty {
         let noise = self.totals.squares / self.totals.expected.max(f64::MIN_POSITIVE);
-        let reference_rays: usize = self.views.iter().map(|placed| placed.view.scan().valid_len()).sum();
+        let reference_rays: usize = self.chosen_views().iter().map(|placed| placed.view.scan().valid_len()).sum();
         // What the sensed rays that take part add of noise, the reference's have added to the surfaces, all of them.
         let both = 1.0 + self.sensed.chosen.len as f64 / reference_rays.max(1) as f64;
         let free_direction = self.free_direction(pose);

@@ -27,7 +27,7 @@ use crate::ros::diagnostics::{MOUNT_ASSUMED, Monitor, Sample, TRANSFORM_WITHHELD
 use crate::ros::inlet::Letter;
 use crate::ros::log::Log;
 use crate::ros::mailbox::{Event, Mailbox, NextScan, Work};
-use crate::ros::priority::Urgency;
+use crate::ros::priority::{Urgency, let_writers_go_first};
 use crate::ros::reader::Reader;
 use crate::ros::transform_output::Rival;
 use crate::transforms::TransformTree;
@@ -283,7 +283,9 @@ impl Worker {
         }
         localizer.conclude(&mut fix);
         urgency.set(false);
+        let_writers_go_first();
         self.publishers.publish_report(&fix, self.mailbox.dropped().scans, &self.config.frames.map_frame);
+        let_writers_go_first();
         localizer.maintain(&NextScan(&self.mailbox));
         if let Ok(belief) = &fix.belief {
             self.publishers.publish_display(localizer, &scan, &belief.map_from_base);
