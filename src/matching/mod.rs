@@ -20,6 +20,8 @@ mod view;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
+use nalgebra::Vector3;
+
 use crate::geometry::{Point, Pose2, PoseCovariance, wrap_angle};
 use crate::scan::Scan;
 use correspondence::Correspondence;
@@ -143,6 +145,14 @@ pub struct Prior {
     pub pose: Pose2,
     /// Its covariance, m, m, rad.
     pub covariance: PoseCovariance,
+}
+
+impl Prior {
+    /// How far a pose is from this one, in standard deviations (Mahalanobis 1936).
+    fn deviation(&self, pose: &Pose2) -> f64 {
+        let offset = Vector3::new(pose.x - self.pose.x, pose.y - self.pose.y, wrap_angle(pose.theta - self.pose.theta));
+        self.covariance.try_inverse().map_or(0.0, |information| offset.dot(&(information * offset)).sqrt())
+    }
 }
 
 /// Where a match begins.
@@ -323,7 +333,8 @@ impl Refinement<'_> {
         let Some(agreement) = m.pairing.agreement() else { return Some(outcome) };
         if let (Stage::Confirm, Some(tracked)) = (self.stage, m.search.tracked()) {
             let is_likely = !outcome.is_failure() && agreement.share() > LIKELY_AGREEMENT;
-            let is_better = is_likely && search::is_better(agreement, tracked.agreement, self.finest);
+            let deviation = self.first_guess.prior.map_or(0.0, |prior| prior.deviation(&self.pose));
+            let is_better = is_likely && search::is_better(agreement, tracked.agreement, self.finest, deviation);
             return Some(if is_better { outcome } else { self.return_to(&tracked) });
         }
         if !outcome.is_failure() && agreement.share() >= self.first_guess.window.doubtful_agreement {

@@ -2,6 +2,7 @@
 
 mod closest_point;
 mod projective;
+mod verdict;
 
 pub(super) use closest_point::ClosestPoint;
 pub(super) use projective::Projective;

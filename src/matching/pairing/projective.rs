@@ -5,10 +5,14 @@
 //! surface's own, and a floor that is the same for all. The floor is what the pairs themselves show beyond the rest. At first that
 //! is the error of the guess: all weigh alike, and the kernel is wide. As the scans come to lie on each other it falls to what
 //! surfaces are uneven, and grazing rays, which know best, count.
+//!
+//! What moves is where one view saw it, and not where the others did: a ray that lies on the surface in some of the views that have one
+//! for it, and not in the rest, weighs less.
 
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 use nalgebra::Matrix2;
 
+use super::verdict::Verdict;
 use super::{Agreement, Metric, Pairing, Pairs, PlacedView};
 use crate::geometry::{Point, Pose2};
 use crate::matching::covariance::condition_number;
@@ -280,6 +284,8 @@ pub(in crate::matching) struct Projective {
     floor: f64,
     /// Distance of each ray from the nearest surface that it is paired with, m.
     distances: Vec<Lanes>,
+    /// How the views judge the rays.
+    verdicts: Vec<Verdict>,
     /// Beams of a view that look where the rays end.
     beams: Vec<[u32; LANES]>,
     form: QuadraticForm,
@@ -299,6 +305,7 @@ impl Projective {
             prior: QuadraticForm::default(),
             floor: LEAST_FLOOR,
             distances: Vec::new(),
+            verdicts: Vec::new(),
             beams: Vec::new(),
             form: QuadraticForm::default(),
             totals: Totals::default(),
@@ -324,7 +331,8 @@ impl Projective {
             *beams = onto.beams(simd, x, y);
         }
         let sensed = self.sensed.chosen.blocks().zip(&self.sensed.inverse_square);
-        for ((((x, y), inverse_square), distances), beams) in sensed.zip(&mut self.distances).zip(&self.beams) {
+        let judged = sensed.zip(&mut self.distances).zip(&mut self.verdicts).zip(&self.beams);
+        for (((((x, y), inverse_square), distances), verdict), beams) in judged {
             let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, x, y, beams);
             let inverse_square = f32x8::from_slice(simd, inverse_square);
             // The lanes past the last ray have none.
@@ -339,8 +347,9 @@ impl Projective {
             // Two divisions for the price of one.
             let per_both = one / (variance * widened);
             let (kernel, by_variance) = (scale * variance * per_both, widened * per_both);
-            let weight = kernel * kernel * by_variance;
+            let weight = kernel * kernel * by_variance * verdict.credit(simd);
             let inlier = squared.simd_lt(scale).select(one, zero);
+            verdict.add(simd, one, inlier);
 
             let mut add = |place: usize, factor: f32x8<S>, value: f32x8<S>| sums[place] = factor.mul_add(value, sums[place]);
             let a = [nx, ny, nx * px + ny * py, ny * px - nx * py];
@@ -419,6 +428,7 @@ impl Pairing for Projective {
 
     fn begin(&mut self, guess: &FirstGuess) {
         self.guess = *guess;
+        self.verdicts.clear();
         self.floor = (FIRST_WIDTH / (KERNEL_SIGMAS * self.noise)).powi(2);
         let unit = DEPENDENCE * self.noise * self.noise;
         self.prior = guess
@@ -432,6 +442,7 @@ impl Pairing for Projective {
 
     fn choose_rays(&mut self, order: RayOrder) {
         let level = self.level;
+        self.verdicts.clear();
         dispatch!(level, simd => self.sensed.choose(simd, order));
     }
 
@@ -450,6 +461,7 @@ impl Pairing for Projective {
         self.distances.clear();
         self.distances.resize(self.sensed.inverse_square.len(), [f32::INFINITY; LANES]);
         self.beams.resize(self.sensed.inverse_square.len(), [0; LANES]);
+        self.verdicts.resize(self.sensed.inverse_square.len(), Verdict::NONE);
         (self.form, self.totals) = (QuadraticForm::default(), Totals::default());
         for view in 0..self.chosen_views().len() {
             let reference_from_view = self.views[view].reference_from_view;
@@ -463,6 +475,10 @@ impl Pairing for Projective {
         let views_per_ray = (self.totals.pairs / self.sensed.chosen.len.max(1) as f64).max(1.0);
         self.form = self.form.scaled(views_per_ray.recip());
         self.totals.feigned /= views_per_ray;
+        // One view alone contradicts nothing but the first guess, which says something where there is a prior.
+        if self.chosen_views().len() > 1 || self.guess.prior.is_some() {
+            self.verdicts.iter_mut().for_each(Verdict::conclude);
+        }
         let mut form = self.form;
         form += self.prior;
         form += self.hold(pose);

@@ -1,0 +1,75 @@
+//! What several views together say of a ray: that it ends on something that stands, or on what has moved.
+
+use fearless_simd::{Simd, f32x8, prelude::*};
+
+use crate::matching::surface::LANES;
+
+/// Part of the views at least that a ray counts as confirmed by: one that lies on no surface may still come to.
+const LEAST_CONFIRMED: f32 = 0.02;
+
+/// How the views judge the rays of a block.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Verdict {
+    /// Views that have a surface for the ray.
+    pairs: [f32; LANES],
+    /// Of those, the ones that it lies on it in.
+    inliers: [f32; LANES],
+    /// By the last pairs, what the ray weighs in comparison with one that all views confirm.
+    credit: [f32; LANES],
+}
+
+impl Verdict {
+    /// Nothing is known against any ray.
+    pub(super) const NONE: Self = Self { pairs: [0.0; LANES], inliers: [0.0; LANES], credit: [1.0; LANES] };
+
+    /// The credit of the rays.
+    #[inline(always)]
+    pub(super) fn credit<S: Simd>(&self, simd: S) -> f32x8<S> {
+        f32x8::from_slice(simd, &self.credit)
+    }
+
+    /// Takes note of what one view says.
+    #[inline(always)]
+    pub(super) fn add<S: Simd>(&mut self, simd: S, pairs: f32x8<S>, inliers: f32x8<S>) {
+        (f32x8::from_slice(simd, &self.pairs) + pairs).store_slice(&mut self.pairs);
+        (f32x8::from_slice(simd, &self.inliers) + inliers).store_slice(&mut self.inliers);
+    }
+
+    /// Gives credit for the next pairs, and begins to count those. The root, because views may err too, and what only the last one has
+    /// seen may yet be the only thing that tells where the robot is.
+    pub(super) fn conclude(&mut self) {
+        for ((pairs, inliers), credit) in self.pairs.iter_mut().zip(&mut self.inliers).zip(&mut self.credit) {
+            *credit = if *pairs > 0.0 { (*inliers / *pairs).max(LEAST_CONFIRMED).sqrt() } else { 1.0 };
+            (*pairs, *inliers) = (0.0, 0.0);
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::float_cmp)] // ones, halves and zeros are exact
+mod tests {
+    use fearless_simd::{Level, dispatch};
+
+    use super::*;
+
+    #[inline(always)]
+    fn judged<S: Simd>(simd: S, views: &[(f32, f32)]) -> f32 {
+        let mut verdict = Verdict::NONE;
+        for &(pairs, inliers) in views {
+            verdict.add(simd, f32x8::splat(simd, pairs), f32x8::splat(simd, inliers));
+        }
+        verdict.conclude();
+        assert_eq!(verdict.pairs, [0.0; LANES], "the next pairs are counted anew");
+        verdict.credit(simd)[LANES - 1]
+    }
+
+    #[test]
+    fn credit_falls_with_the_views_that_contradict() {
+        let credit = |views: &[(f32, f32)]| dispatch!(Level::new(), simd => judged(simd, views));
+        assert_eq!(credit(&[(1.0, 1.0); 4]), 1.0);
+        assert_eq!(credit(&[(1.0, 1.0), (1.0, 0.0), (1.0, 0.0), (1.0, 0.0)]), 0.5);
+        assert_eq!(credit(&[(1.0, 1.0), (0.0, 0.0)]), 1.0, "who does not see it does not contradict");
+        assert_eq!(credit(&[(0.0, 0.0); 2]), 1.0);
+        assert!(credit(&[(1.0, 0.0); 3]) > 0.1, "it may come to lie on one yet");
+    }
+}
