@@ -29,6 +29,8 @@ pub(super) struct Feed {
     is_vital: bool,
     publishers: Mutex<Publishers>,
     refused: AtomicU64,
+    /// Connections that there are.
+    open: AtomicU64,
 }
 
 /// Nodes, by name.
@@ -44,8 +46,8 @@ struct Publishers {
 impl Feed {
     pub(super) fn new(topic: String, node: &str, master: Arc<Master>, clock: Arc<dyn Clock>, log: Log, inlet: Inlet) -> Self {
         let (is_vital, inlet) = (inlet.topic.is_vital, Mutex::new(inlet));
-        let (publishers, refused) = (Mutex::default(), AtomicU64::new(0));
-        Self { topic, node: node.into(), master, clock, log, inlet, is_vital, publishers, refused }
+        let (publishers, refused, open) = (Mutex::default(), AtomicU64::new(0), AtomicU64::new(0));
+        Self { topic, node: node.into(), master, clock, log, inlet, is_vital, publishers, refused, open }
     }
 
     /// Messages that were too long to be read.
@@ -53,9 +55,9 @@ impl Feed {
         self.refused.load(Ordering::Relaxed)
     }
 
-    /// Whether nobody publishes what the node lives on.
+    /// Whether there is nobody to hear from of what the node lives on.
     pub(super) fn is_missed(&self) -> bool {
-        self.is_vital && lock(&self.publishers).wanted.is_empty()
+        self.is_vital && self.open.load(Ordering::Relaxed) == 0
     }
 
     /// Takes the master's word for who publishes: links to those that are new. Answers whether these are others than before.
@@ -112,8 +114,11 @@ impl Feed {
         let address = request_topic(&uri, &self.node, &self.topic)?;
         let (mut stream, header) = connect(&address, &self.node, &self.topic)?;
         let fits = lock(&self.inlet).accepts(&header, publisher, &self.topic, &self.log);
+        self.open.fetch_add(1, Ordering::Relaxed);
         loop {
-            let bytes = read_message(&mut stream)?;
+            let bytes = read_message(&mut stream).inspect_err(|_| {
+                self.open.fetch_sub(1, Ordering::Relaxed);
+            })?;
             let arrival = self.clock.now();
             *messages += 1;
             if fits {

@@ -2,8 +2,9 @@
 //!
 //! rosrust's own subscribers take as much memory as a message announces, stand still when a publisher does not send its header, and
 //! never return to one whose connection broke. So the connections are made here. rosrust answers for the node to the master and to
-//! the other nodes; it keeps to itself when the master tells it of a new publisher, so who publishes is read from the master's state,
-//! some times a second. It is one small request for all topics together, and right again by itself after a master has been replaced.
+//! the other nodes; it keeps to itself when the master tells it of a new publisher, so who publishes is read from the master's state:
+//! once a second, and more often while there is nobody to hear from. It is one small request for all topics together, and right again by
+//! itself after a master has been replaced.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
