@@ -17,12 +17,10 @@ const SCORED_AT_ONCE: usize = 64;
 const REFINED: usize = 8;
 /// Part of the rays that must agree more than before with a start, so that it is refined with all,
 const PROMISING: f64 = 0.03;
-/// and then, so that it is believed,
+/// and then, so that it is believed: for each standard deviation that it is away from the prior, once at least,
 const BELIEVED: f64 = 0.05;
-/// where the prior allows for it. So many times as many must where it does not, ...
+/// and so many times at most.
 const INCREDIBLE: f64 = 3.0;
-/// ... as beyond so many of its standard deviations.
-const ALLOWED_SIGMAS: f64 = 1.0;
 
 /// Where tracking from the first guess had come to.
 #[derive(Clone, Copy, Debug)]
@@ -109,7 +107,7 @@ impl Search {
 
 /// Whether clearly more of so many rays agree. `deviation`: of the pose that they agree with from the prior, in standard deviations of that.
 pub(super) fn is_better(agreement: Agreement, before: Agreement, rays: usize, deviation: f64) -> bool {
-    exceeds(agreement, before, BELIEVED * (deviation / ALLOWED_SIGMAS).clamp(1.0, INCREDIBLE), rays)
+    exceeds(agreement, before, BELIEVED * deviation.clamp(1.0, INCREDIBLE), rays)
 }
 
 fn exceeds(agreement: Agreement, before: Agreement, margin: f64, rays: usize) -> bool {

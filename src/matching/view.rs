@@ -1,6 +1,5 @@
 //! What a laser saw from one place, ready to be matched to: at every beam, the surface that it met.
 
-use std::borrow::Cow;
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::f64::consts::TAU;
 
@@ -23,36 +22,43 @@ pub struct View {
     scan: Scan,
     /// By beam, and one more at the end for all that is out of sight; empty where none were asked for.
     surfaces: Vec<Surface>,
+    /// Ranges where the beams of even spacing would be, m; empty where the scan's own are there.
+    sorted_ranges: Vec<f64>,
 }
 
 impl View {
     /// A scan that no surfaces are needed of.
     pub(super) fn bare(scan: Scan) -> Self {
-        Self { scan, surfaces: Vec::new() }
+        Self { scan, surfaces: Vec::new(), sorted_ranges: Vec::new() }
     }
 
     /// A scan and the surface at each of its beams.
     pub(super) fn new(scan: Scan, mut surfaces: Vec<Surface>) -> Self {
         surfaces.push(Surface::NONE);
-        let mut view = Self { scan, surfaces };
+        let mut view = Self { scan, surfaces, sorted_ranges: Vec::new() };
         if !view.scan.beams().is_even() {
             view.sort_by_bearing();
         }
         view
     }
 
-    /// Puts the surfaces where the beams of even spacing would be.
+    /// Puts surfaces and ranges where the beams of even spacing would be.
     fn sort_by_bearing(&mut self) {
         let bearings = self.bearings();
-        let mut sorted = vec![Surface::NONE; self.surfaces.len()];
-        for (direction, surface) in self.scan.beams().directions().iter().zip(&self.surfaces) {
+        let mut surfaces = vec![Surface::NONE; self.surfaces.len()];
+        let mut ranges = vec![f64::NAN; self.scan.len()];
+        for ((direction, surface), range) in self.scan.beams().directions().iter().zip(&self.surfaces).zip(self.scan.ranges()) {
             let place = bearings.beam(direction);
-            if place < self.scan.len() && surface.variance() < sorted[place].variance() {
-                sorted[place] = *surface;
+            if place < self.scan.len() {
+                if surface.variance() < surfaces[place].variance() {
+                    surfaces[place] = *surface;
+                }
+                ranges[place] = range.min(ranges[place]);
             }
         }
-        fill_gaps(&mut sorted, Surface::is_none);
-        self.surfaces = sorted;
+        fill_gaps(&mut surfaces, Surface::is_none);
+        fill_gaps(&mut ranges, |range| range.is_nan());
+        (self.surfaces, self.sorted_ranges) = (surfaces, ranges);
     }
 
     /// The scan itself.
@@ -90,19 +96,8 @@ impl View {
     }
 
     /// Ranges where the beams of even spacing would be, m; NaN where there is no measurement.
-    fn ranges_by_bearing(&self) -> Cow<'_, [f64]> {
-        if self.scan.beams().is_even() {
-            return self.scan.ranges().into();
-        }
-        let bearings = self.bearings();
-        let mut sorted = vec![f64::NAN; self.scan.len()];
-        for (_, direction, range) in self.scan.rays() {
-            if let Some(nearest) = sorted.get_mut(bearings.beam(&direction)) {
-                *nearest = range.min(*nearest);
-            }
-        }
-        fill_gaps(&mut sorted, |range| range.is_nan());
-        sorted.into()
+    fn ranges_by_bearing(&self) -> &[f64] {
+        if self.scan.beams().is_even() { self.scan.ranges() } else { &self.sorted_ranges }
     }
 
     /// Forgets the surfaces at some places.

@@ -534,7 +534,7 @@ impl Pairing for Projective {
     }
 
     fn matched_points(&self, pose: &Pose2, points: &mut Vec<(Point, Point)>) {
-        for placed in &self.views {
+        for placed in self.chosen_views() {
             let view_from_sensed = placed.reference_from_view.between(pose).transform();
             let back = placed.reference_from_view.transform();
             let (bearings, surfaces) = (placed.view.bearings(), placed.view.surfaces());
