@@ -1,6 +1,7 @@
 //! The connections to the publishers of one topic.
 
 use std::collections::HashSet;
+use std::net::TcpStream;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -112,13 +113,24 @@ impl Feed {
     fn receive(&self, publisher: &str, messages: &mut u64) -> Result<std::convert::Infallible, LinkError> {
         let uri = self.master.lookup_node(publisher).map_err(|error| LinkError::Unknown(error.to_string()))?;
         let address = request_topic(&uri, &self.node, &self.topic)?;
-        let (mut stream, header) = connect(&address, &self.node, &self.topic)?;
+        let (stream, header) = connect(&address, &self.node, &self.topic)?;
         let fits = lock(&self.inlet).accepts(&header, publisher, &self.topic, &self.log);
         self.open.fetch_add(1, Ordering::Relaxed);
+        let problem = self.hear(stream, fits, publisher, messages);
+        self.open.fetch_sub(1, Ordering::Relaxed);
+        problem
+    }
+
+    /// Takes messages from a connection until it breaks; those of the wrong type are only counted.
+    fn hear(
+        &self,
+        mut stream: TcpStream,
+        fits: bool,
+        publisher: &str,
+        messages: &mut u64,
+    ) -> Result<std::convert::Infallible, LinkError> {
         loop {
-            let bytes = read_message(&mut stream).inspect_err(|_| {
-                self.open.fetch_sub(1, Ordering::Relaxed);
-            })?;
+            let bytes = read_message(&mut stream)?;
             let arrival = self.clock.now();
             *messages += 1;
             if fits {
