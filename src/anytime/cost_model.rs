@@ -3,13 +3,13 @@
 //! Costs are kept per phase and per octave of rays (64 to 127, 128 to 255, ...), as time per ray in a window of the latest samples.
 //! (What the particle filter counts is not rays but particles, and beams cast from all of them.)
 //! The quantile of the contract's confidence guards the deadline, the median plans. Nothing is assumed of their distribution, but
-//! that a step of many times the usual cost has been interrupted by the machine: that is not what a step costs, and no reserve
-//! would help against it.
+//! that a step of many times the usual cost has been preempted: that is not what a step costs. A reserve of its own guards against it.
 
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use super::preemption::Preemptions;
 use crate::quantile::quantile;
 
 /// Samples that an octave remembers.
@@ -17,8 +17,8 @@ const WINDOW: usize = 2048;
 /// Octaves: up to 2^26 rays, as a hundred thousand particles can cast.
 const OCTAVES: usize = 26;
 
-/// A cost of so many times the median is an interruption.
-const INTERRUPTED: f32 = 5.0;
+/// A cost of so many times the median is a preemption.
+const PREEMPTED: f32 = 5.0;
 
 crate::choices! {
     /// A part of the work on a scan, in the order of the work.
@@ -53,18 +53,24 @@ pub struct CostEntry {
 pub struct CostModel {
     confidence: f64,
     phases: [[Octave; OCTAVES]; 3],
+    preemptions: Preemptions,
     scratch: Vec<f32>,
 }
 
 impl CostModel {
     /// Knows nothing yet. `confidence`: the quantile that stands for the cost of what is ahead.
     pub fn new(confidence: f64) -> Self {
-        Self { confidence, phases: Default::default(), scratch: Vec::with_capacity(WINDOW) }
+        let preemptions = Preemptions::new(1.0 - confidence);
+        Self { confidence, phases: Default::default(), preemptions, scratch: Vec::with_capacity(WINDOW) }
     }
 
     /// Takes note of a cost. [`Self::learn`] draws the conclusions.
     pub fn observe(&mut self, phase: Phase, rays: usize, cost: Duration) {
         if rays > 0 {
+            let usual = self.typical(phase, rays);
+            if phase == Phase::Iteration && !usual.is_zero() {
+                self.preemptions.observe(usual, cost);
+            }
             self.phases[phase as usize][octave(rays)].push(nanoseconds(cost) / rays as f32);
         }
     }
@@ -74,6 +80,7 @@ impl CostModel {
         for octave in self.phases.iter_mut().flatten() {
             octave.learn(self.confidence, &mut self.scratch);
         }
+        self.preemptions.learn();
     }
 
     /// The cost that is not exceeded with the contract's confidence; zero while nothing is known.
@@ -86,11 +93,17 @@ impl CostModel {
         self.cost(phase, rays, |octave| octave.median)
     }
 
-    /// The cost of several pieces of work: one of them may be slow; that two are is as good as out of the question.
-    pub fn guarded_sum(&self, pieces: &[(Phase, usize)]) -> Duration {
+    /// Time to keep back for preemptions.
+    pub fn reserve(&self) -> Duration {
+        self.preemptions.reserve()
+    }
+
+    /// The cost of several pieces of work, one of which may be slow or preempted for as long as there is a `reserve`; that two are is as
+    /// good as out of the question.
+    pub fn guarded_sum(&self, pieces: &[(Phase, usize)], reserve: Duration) -> Duration {
         let usual: Duration = pieces.iter().map(|&(phase, rays)| self.typical(phase, rays)).sum();
         let slow = |&(phase, rays): &(Phase, usize)| self.guarded(phase, rays).saturating_sub(self.typical(phase, rays));
-        usual + pieces.iter().map(slow).max().unwrap_or_default()
+        usual + pieces.iter().map(slow).fold(reserve, Duration::max)
     }
 
     /// An octave without samples is given the nearest one's cost, rather a lower one's, per ray: where there are few of them a ray
@@ -182,7 +195,7 @@ impl Octave {
         scratch.extend_from_slice(&self.samples);
         let mut cost_at = |share: f64| quantile(scratch, share, f32::total_cmp);
         if let (Some(median), Some(quantile)) = (cost_at(0.5), cost_at(confidence)) {
-            (self.median, self.quantile) = (median, quantile.min(INTERRUPTED * median));
+            (self.median, self.quantile) = (median, quantile.min(PREEMPTED * median));
         }
     }
 

@@ -4,6 +4,7 @@ pub mod clock;
 pub mod contract;
 pub mod cost_model;
 pub mod interrupt;
+mod preemption;
 mod refinement;
 pub mod timer;
 
@@ -55,13 +56,36 @@ impl ErrorEstimate {
     }
 }
 
+/// Part of a time budget at most that is kept back for preemptions: late now and then is better than no match at all.
+const MOST_RESERVED: u32 = 2;
+
+/// The time that is left before a deadline, and what is known of costs.
+#[derive(Clone, Copy)]
+pub struct Outlook<'a> {
+    costs: &'a CostModel,
+    left: Duration,
+    reserve: Duration,
+}
+
+impl<'a> Outlook<'a> {
+    /// `left`: of the time budget.
+    pub fn new(costs: &'a CostModel, left: Duration, time_budget: Duration) -> Self {
+        Self { costs, left, reserve: costs.reserve().min(time_budget / MOST_RESERVED) }
+    }
+
+    /// Whether there is time for pieces of work of these sizes, with the contract's confidence.
+    pub fn allows_for(&self, pieces: &[(Phase, usize)]) -> bool {
+        self.costs.guarded_sum(pieces, self.reserve) < self.left
+    }
+}
+
 /// Work on an answer, step by step; after every step there is an answer to be had.
 pub trait Work {
     /// How much there is to do in a phase, of an iteration the next one: in rays, or what else its cost grows with.
     fn size(&self, phase: Phase) -> usize;
 
-    /// Makes itself as small as it must be to be of use within `left`.
-    fn plan(&mut self, costs: &CostModel, left: Duration);
+    /// Makes itself as small as it must be to be of use in time.
+    fn plan(&mut self, outlook: &Outlook);
 
     /// The next step; if it was the last one, why.
     fn step(&mut self) -> Option<StopReason>;
@@ -90,10 +114,14 @@ impl<'a> Driver<'a> {
         self.refined
     }
 
-    /// What costs are known, and the time left before the deadline; `None`: there is no deadline.
-    pub fn outlook(&self) -> Option<(&CostModel, Duration)> {
-        let deadline = self.task.deadline()?;
-        Some((self.costs, deadline.saturating_sub(self.clock.now())))
+    /// What there is time for from now on; `None`: there is no deadline.
+    pub fn outlook(&self) -> Option<Outlook<'_>> {
+        self.outlook_at(self.clock.now())
+    }
+
+    fn outlook_at(&self, now: Duration) -> Option<Outlook<'_>> {
+        let (deadline, time_budget) = (self.task.deadline()?, self.task.contract.time_budget?);
+        Some(Outlook::new(self.costs, deadline.saturating_sub(now), time_budget))
     }
 
     /// Works until it is done, good enough, called for, or out of time.
@@ -102,8 +130,8 @@ impl<'a> Driver<'a> {
     pub fn drive(&mut self, work: &mut impl Work) -> StopReason {
         let mut now = self.clock.now();
         self.costs.observe(Phase::Setup, work.size(Phase::Setup), now.saturating_sub(self.task.taken_up));
-        if let Some(deadline) = self.task.deadline() {
-            work.plan(self.costs, deadline.saturating_sub(now));
+        if let Some(outlook) = self.outlook_at(now) {
+            work.plan(&outlook);
         }
         self.refined = Some(now);
         loop {
@@ -112,7 +140,7 @@ impl<'a> Driver<'a> {
                 return StopReason::Interrupted;
             }
             let step_and_answer = [(Phase::Iteration, size), (Phase::Closing, work.size(Phase::Closing))];
-            if self.task.deadline().is_some_and(|deadline| now + self.costs.guarded_sum(&step_and_answer) > deadline) {
+            if self.outlook_at(now).is_some_and(|outlook| !outlook.allows_for(&step_and_answer)) {
                 return StopReason::Budget;
             }
             let stop = work.step();

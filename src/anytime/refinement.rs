@@ -1,15 +1,13 @@
 //! A match as work that can be stopped.
 
-use std::time::Duration;
-
 use super::contract::Contract;
-use super::cost_model::{CostModel, Phase};
-use super::{ErrorEstimate, Work};
+use super::cost_model::Phase;
+use super::{ErrorEstimate, Outlook, Work};
 use crate::geometry::PoseCovariance;
 use crate::matching::{Refinement, StopReason};
 
 /// A budget should allow for this many iterations of the coarsest level.
-const PLANNED_ITERATIONS: u32 = 4;
+const PLANNED_ITERATIONS: usize = 4;
 /// Fewer rays than this are no plan: they leave the pose to chance.
 const FEWEST_RAYS: usize = 32;
 
@@ -22,10 +20,11 @@ impl Work for Refinement<'_> {
     }
 
     /// Begins with as few rays as it takes for some iterations to fit into the time left. Finer levels follow as time allows.
-    fn plan(&mut self, costs: &CostModel, left: Duration) {
+    fn plan(&mut self, outlook: &Outlook) {
         let fits = |rays: usize| {
-            let all_but_the_last = costs.typical(Phase::Iteration, rays) * (PLANNED_ITERATIONS - 1);
-            all_but_the_last + costs.guarded_sum(&[(Phase::Iteration, rays), (Phase::Closing, rays)]) <= left
+            let mut pieces = [(Phase::Iteration, rays); PLANNED_ITERATIONS + 1];
+            pieces[PLANNED_ITERATIONS].0 = Phase::Closing;
+            outlook.allows_for(&pieces)
         };
         let mut rays = self.next_rays();
         while !fits(rays) && rays / 2 >= FEWEST_RAYS {

@@ -242,7 +242,7 @@ impl ParticleFilter {
     /// before the motion.
     pub fn plan(&mut self, beams: usize, driver: &Driver) {
         let wanted = if self.search.is_some() { self.len() } else { self.knobs.particles as usize };
-        self.affordable = driver.outlook().map_or(usize::MAX, |(costs, left)| particles_for(costs, left, wanted, beams));
+        self.affordable = driver.outlook().map_or(usize::MAX, |outlook| particles_for(&outlook, wanted, beams));
         if self.len() > self.affordable {
             self.resample(self.affordable);
         }

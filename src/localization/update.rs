@@ -1,11 +1,9 @@
 //! An update as work that can be stopped: particles and beams that fit into the time there is.
 
-use std::time::Duration;
-
 use super::filter::ParticleFilter;
 use crate::anytime::contract::Contract;
-use crate::anytime::cost_model::{CostModel, Phase};
-use crate::anytime::{ErrorEstimate, Work};
+use crate::anytime::cost_model::Phase;
+use crate::anytime::{ErrorEstimate, Outlook, Work};
 use crate::matching::StopReason;
 
 /// Of the beams wanted this part is to be cast; rather than fewer, particles are given up.
@@ -40,7 +38,7 @@ impl Work for Update<'_> {
     }
 
     /// The particles have been moved already: [`particles_for`] came before that. How many beams there is time for shows.
-    fn plan(&mut self, _costs: &CostModel, _left: Duration) {}
+    fn plan(&mut self, _outlook: &Outlook) {}
 
     fn step(&mut self) -> Option<StopReason> {
         self.filter.weigh_next_beams();
@@ -56,12 +54,12 @@ impl Work for Update<'_> {
     }
 }
 
-/// How many of `particles` can be moved and compared with a part of `beams` within `left`.
-pub(super) fn particles_for(costs: &CostModel, left: Duration, particles: usize, beams: usize) -> usize {
+/// How many of `particles` there is time to move and to compare with a part of `beams`.
+pub(super) fn particles_for(outlook: &Outlook, particles: usize, beams: usize) -> usize {
     let beams = ((beams as f64 * LEAST_BEAMS).ceil() as usize).max(1);
     let fits = |particles: usize| {
         let pieces = [(Phase::Setup, particles), (Phase::Iteration, particles * beams), (Phase::Closing, particles)];
-        costs.guarded_sum(&pieces) <= left
+        outlook.allows_for(&pieces)
     };
     let mut count = particles;
     while !fits(count) && count > FEWEST_PARTICLES {
@@ -72,7 +70,10 @@ pub(super) fn particles_for(costs: &CostModel, left: Duration, particles: usize,
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
+    use crate::anytime::cost_model::CostModel;
 
     #[test]
     fn particles_are_given_up_as_the_time_is_short() {
@@ -83,9 +84,13 @@ mod tests {
             costs.observe(Phase::Closing, particles, Duration::from_nanos(100) * u32::try_from(particles).unwrap());
         }
         costs.learn();
-        let planned = |microseconds| particles_for(&costs, Duration::from_micros(microseconds), 4000, 60);
+        let planned = |microseconds| {
+            let left = Duration::from_micros(microseconds);
+            particles_for(&Outlook::new(&costs, left, left), 4000, 60)
+        };
         assert_eq!([planned(5000), planned(2100), planned(1)], [4000, 4000, FEWEST_PARTICLES]);
         assert!((1700..=2000).contains(&planned(1000)), "{}", planned(1000));
-        assert_eq!(particles_for(&CostModel::new(0.9), Duration::ZERO, 4000, 60), 4000, "nothing is known yet");
+        let (unknown, left) = (CostModel::new(0.9), Duration::from_nanos(1));
+        assert_eq!(particles_for(&Outlook::new(&unknown, left, left), 4000, 60), 4000, "nothing is known yet");
     }
 }
