@@ -43,6 +43,14 @@ impl Urgency {
     }
 }
 
+/// Does something as urgently as answers that are due. The threads that it starts stay so.
+pub(super) fn urgently<T>(work: impl FnOnce() -> T) -> T {
+    let mut urgency = Urgency::of_this_thread();
+    let result = work();
+    urgency.set(false);
+    result
+}
+
 fn assume(policy: ThreadSchedulePolicy, priority: ThreadPriority) -> Result<(), Error> {
     set_thread_priority_and_policy(thread_native_id(), priority, policy)
 }
@@ -53,8 +61,8 @@ fn of_nice(nice: i32) -> Option<ThreadPriority> {
     all.into_iter().find(|priority| priority.to_posix(NORMAL) == Ok(nice))
 }
 
-/// Lets the threads of rosrust go first that write what was published: woken on the processor of this one, they would wait for all that
-/// it goes on with, as long as the scheduler's slice of 3 ms.
+/// Lets the threads of rosrust go first that write what was published, where they are no more urgent than this one: woken on its
+/// processor, they would wait for all that it goes on with, as long as the scheduler's slice of 3 ms.
 pub(super) fn let_writers_go_first() {
     std::thread::yield_now();
 }
@@ -69,6 +77,15 @@ mod tests {
             assert_eq!(of_nice(nice).unwrap().to_posix(NORMAL), Ok(nice));
         }
         assert_eq!(of_nice(20), None);
+    }
+
+    #[test]
+    fn threads_begun_urgently_stay_urgent() {
+        let policy = || thread_priority::thread_schedule_policy().unwrap();
+        let begun = urgently(|| std::thread::spawn(policy)).join().unwrap();
+        assert_eq!(policy(), NORMAL, "who began them is not");
+        let is_permitted = Urgency::of_this_thread().is_permitted();
+        assert_eq!(begun, if is_permitted { REAL_TIME } else { NORMAL });
     }
 
     #[test]

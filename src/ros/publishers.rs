@@ -17,6 +17,7 @@ use super::compat::{Face, PoseOutputs};
 use super::convert::Answer;
 use super::master::Role;
 use super::path::PathHistory;
+use super::priority::urgently;
 use super::transform_output::TransformOutput;
 use crate::odometry::{MatchedPoints, OdometryCounters, Outcome};
 use crate::time::Stamp;
@@ -71,6 +72,11 @@ impl<T: Message> Output<T> {
         Self::described(ros, topic, RawMessageDescription::from_message::<T>())
     }
 
+    /// A topic of what a controller waits for: the thread that writes its messages goes before all programs of normal priority.
+    pub(super) fn urgent(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
+        urgently(|| Self::new(ros, topic))
+    }
+
     /// Hands a message over, as [`Self::send_bytes`] does.
     pub(super) fn send(&self, message: impl FnOnce() -> T) {
         self.send_bytes(|| {
@@ -101,8 +107,8 @@ impl Publishers {
     /// With the output of transforms, which comes and goes.
     pub(super) fn new(ros: &Ros, transform: Arc<TransformOutput>, face: &Face) -> Result<Self, NodeError> {
         Ok(Self {
-            pose: Output::new(ros, "scan_match_location")?,
-            state: Output::new(ros, "icp_state")?,
+            pose: Output::urgent(ros, "scan_match_location")?,
+            state: Output::urgent(ros, "icp_state")?,
             odometry: Output::new(ros, "icp/odom")?,
             report: Output::new(ros, "icp_report")?,
             path: Output::new(ros, "icp/path")?.latched(),

@@ -55,5 +55,5 @@ impl PoseOutputs {
 }
 
 fn output<T: rosrust::Message>(ros: &Ros, topic: &'static str, wanted: bool) -> Result<Option<Output<T>>, NodeError> {
-    if wanted { Output::new(ros, topic).map(Some) } else { Ok(None) }
+    if wanted { Output::urgent(ros, topic).map(Some) } else { Ok(None) }
 }

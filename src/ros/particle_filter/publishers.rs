@@ -36,7 +36,7 @@ impl Publishers {
         let transform = TransformOutput::default();
         transform.switch(ros, &frames.odom_frame, frames.publish_tf)?;
         Ok(Self {
-            pose: Output::new(ros, POSE)?,
+            pose: Output::urgent(ros, POSE)?,
             report: Output::new(ros, "pf/report")?,
             particles: Output::new(ros, "pf/viz/particles")?,
             inferred_pose: Output::new(ros, "pf/viz/inferred_pose")?,
