@@ -155,6 +155,17 @@ fn the_real_logs_run_to_their_end() {
     }
 }
 
+/// Without odometry nothing but the scans tells how far along its corridors the robot has come, and the ranges err alike from scan to
+/// scan.
+#[test]
+fn long_corridors_are_driven_by_scans_alone() {
+    let Some(bag) = common::shared("data/racecar-levine/racecar-levine.bag") else { return };
+    let truth = bag.with_file_name("truth.tum");
+    let summary = json(&["replay", bag.to_str().unwrap(), "--scan-only", "--truth", truth.to_str().unwrap(), "--json"]);
+    eprintln!("racecar-levine, scans alone: ATE {} m", summary["ate_rmse_m"]);
+    assert!(summary["ate_rmse_m"].as_f64().unwrap() < 0.05, "{summary}");
+}
+
 #[test]
 fn bags_that_are_no_good_are_named_with_the_remedy() {
     let folder = tempfile::tempdir().unwrap();

@@ -10,6 +10,7 @@
 use fearless_simd::{Level, dispatch, f32x8, f64x4, prelude::*};
 
 use super::surface::{LANES, Surface, Surfaces};
+use crate::quantile::quantile;
 use crate::scan::Scan;
 
 /// Rays to either side of its middle that the longest stretch has. The others have half as many as the next longer one.
@@ -26,6 +27,13 @@ const LEVER: f32 = 0.05;
 /// Few rays lie on a line by chance, and seem sure. Stretches are compared as if they had erred by so much more, in all: of a long one
 /// each ray's share is small. With less, noise that is greater than assumed leads to lines through three rays.
 const DOUBT: f32 = 40.0;
+
+/// Lines of so many rays show how much ranges err; ...
+const TELLING: f32 = 32.0;
+/// ... every so manieth is asked, as neighbours say the same; ...
+const ASKED: usize = 8;
+/// ... and so many must answer. Where there are fewer, white noise does not average out, so that nothing else decides.
+const FEWEST_ANSWERS: usize = 64;
 
 /// Rays that are handled at a time in double precision.
 const HALF: usize = LANES / 2;
@@ -205,8 +213,7 @@ impl<S: Simd> Around<'_, S> {
             per_ray: 2.0 / (end - start),
             normal: [x * offset, y * offset],
             offset,
-            excess: excess(fit.observed),
-            mean: fit.observed.max(1.0) / (end - start),
+            observed: fit.observed,
             turn: fit.doubted.simd_lt(infinite).select(fit.turn, infinite),
         }
     }
@@ -248,7 +255,8 @@ impl<S: Simd> Around<'_, S> {
 
         let squared_incidence = incidence * incidence * per_square;
         let observed = squared_errors * per_spare * self.noise.recip();
-        let excess = excess(observed);
+        // What is uneven about the line: squared errors beyond the noise's.
+        let excess = (observed - 1.0).max(0.0);
         let spread = squared_incidence * observed.max(1.0).mul_add(per_ray, excess);
         // Variance of the slope of a regression over evenly spaced points; what it makes of a point's at the lever.
         let turn = spread * (12.0 * LEVER * LEVER) * per_squared_length;
@@ -274,11 +282,8 @@ impl<S: Simd> Around<'_, S> {
     }
 }
 
-/// What is uneven about a line: squared errors beyond the noise's.
-#[inline(always)]
-fn excess<S: Simd>(observed: f32x8<S>) -> f32x8<S> {
-    (observed - 1.0).max(0.0)
-}
+/// Numbers of a [`Stretch`].
+const FIELDS: usize = 7;
 
 /// What is kept of the rays on one line. Variances are in units of the noise's.
 #[derive(Clone, Copy, Debug, Default)]
@@ -290,24 +295,22 @@ struct Stretch<T> {
     normal: [T; 2],
     /// m.
     offset: T,
-    /// Mean squared range error about the line beyond the noise's: what is uneven.
-    excess: T,
-    /// Variance of the line's place in its middle, as a range.
-    mean: T,
+    /// Mean squared range error about the line.
+    observed: T,
     /// Variance of a point's distance by that of the line's direction; infinite where it is no surface.
     turn: T,
 }
 
 impl<T: Copy> Stretch<T> {
     #[inline(always)]
-    fn into_array(self) -> [T; 8] {
-        let Self { middle, per_ray, normal, offset, excess, mean, turn } = self;
-        [middle, per_ray, normal[0], normal[1], offset, excess, mean, turn]
+    fn into_array(self) -> [T; FIELDS] {
+        let Self { middle, per_ray, normal, offset, observed, turn } = self;
+        [middle, per_ray, normal[0], normal[1], offset, observed, turn]
     }
 
     #[inline(always)]
-    fn from_array([middle, per_ray, x, y, offset, excess, mean, turn]: [T; 8]) -> Self {
-        Self { middle, per_ray, normal: [x, y], offset, excess, mean, turn }
+    fn from_array([middle, per_ray, x, y, offset, observed, turn]: [T; FIELDS]) -> Self {
+        Self { middle, per_ray, normal: [x, y], offset, observed, turn }
     }
 }
 
@@ -323,19 +326,20 @@ struct Block<S: Simd> {
 impl<S: Simd> Block<S> {
     /// The surfaces of the stretches that begin at a place in their windows, where they reach up to the rays.
     #[inline(always)]
-    fn on(&self, simd: S, stretches: &[&Window<f32>; 8], place: usize) -> Surfaces<S> {
+    fn on(&self, simd: S, stretches: &[&Window<f32>; FIELDS], place: usize) -> Surfaces<S> {
         let at = |field: usize| f32x8::from_slice(simd, &stretches[field][place..place + LANES]);
-        let fields = [at(0), at(1), at(2), at(3), at(4), at(5), at(6), at(7)];
-        let Stretch { middle, per_ray, normal, offset, excess, mean, turn } = Stretch::from_array(fields);
+        let fields = [at(0), at(1), at(2), at(3), at(4), at(5), at(6)];
+        let Stretch { middle, per_ray, normal, offset, observed, turn } = Stretch::from_array(fields);
         let along = |vector: &[f32x8<S>; 2]| normal[0].mul_add(vector[0], normal[1] * vector[1]);
         let (incidence, error) = (along(&self.direction), along(&self.point) - offset);
         let squared_incidence = incidence * incidence;
         let from_middle = (self.index - middle) * per_ray;
         let squared_from_middle = from_middle * from_middle;
         // A regression line is surest in the middle.
-        let place = (squared_from_middle * 3.0 + 1.0).mul_add(mean, excess);
+        let spread = observed.max(1.0);
+        let place = (squared_from_middle * 3.0 + 1.0).mul_add(spread * per_ray * 0.5, spread - 1.0);
         let variance = squared_incidence.mul_add(place, turn);
-        let limit = (excess + 1.0) * squared_incidence * (FARTHEST * FARTHEST * self.noise);
+        let limit = spread * squared_incidence * (FARTHEST * FARTHEST * self.noise);
         let is_on = squared_from_middle.simd_lt(1.0) & (error * error).simd_le(limit);
         let variance = is_on.select(variance, f32x8::splat(simd, f32::INFINITY));
         Surfaces { normal, offset, variance, turn_variance: turn }
@@ -360,12 +364,14 @@ pub(super) struct LineFitter {
     level: Level,
     rays: Rays,
     /// By field of [`Stretch`] and by ray.
-    stretches: [Padded<f32>; 8],
+    stretches: [Padded<f32>; FIELDS],
+    /// Squared range errors about some of the lines.
+    errors: Vec<f32>,
 }
 
 impl Default for LineFitter {
     fn default() -> Self {
-        Self { level: Level::new(), rays: Rays::default(), stretches: Default::default() }
+        Self { level: Level::new(), rays: Rays::default(), stretches: Default::default(), errors: Vec::new() }
     }
 }
 
@@ -383,6 +389,19 @@ impl LineFitter {
         dispatch!(level, simd => self.rays.sum(simd));
         dispatch!(level, simd => self.find_stretches(simd, noise));
         dispatch!(level, simd => self.find_surfaces(simd, noise, surfaces));
+    }
+
+    /// The variance of a range that the last scan showed, m^2: the median over lines of many rays. `None`: there are few such lines.
+    /// `noise`: what it was fitted with.
+    pub(super) fn shown_variance(&mut self, noise: f64) -> Option<f64> {
+        let stretches = self.stretches.each_ref().map(|numbers| &numbers.0[LONGEST..numbers.0.len() + LONGEST - PADDING]);
+        let [_, per_ray, _, _, _, observed, turn] = stretches;
+        let some = (0..self.rays.beams.len()).step_by(ASKED);
+        let telling = some.filter(|&ray| per_ray[ray] * TELLING < 2.0 && turn[ray] < f32::INFINITY);
+        self.errors.clear();
+        self.errors.extend(telling.map(|ray| observed[ray]));
+        let median = quantile(&mut self.errors, 0.5, f32::total_cmp).filter(|_| self.errors.len() >= FEWEST_ANSWERS)?;
+        Some(f64::from(median) * noise * noise)
     }
 
     /// The stretch with each ray in its middle that fixes its line best.
@@ -408,7 +427,7 @@ impl LineFitter {
             }
         }
         self.stretches.iter_mut().for_each(|numbers| numbers.pad(0.0, 0.0));
-        let turn = &mut self.stretches[7];
+        let turn = &mut self.stretches[FIELDS - 1];
         turn.pad(f32::INFINITY, f32::INFINITY);
     }
 
@@ -425,7 +444,7 @@ impl LineFitter {
                 noise,
             };
             let field = |field: usize| self.stretches[field].window(first);
-            let windows = [field(0), field(1), field(2), field(3), field(4), field(5), field(6), field(7)];
+            let windows = [field(0), field(1), field(2), field(3), field(4), field(5), field(6)];
             let mut met = rays.on(simd, &windows, LONGEST);
             for neighbour in NEIGHBOURS {
                 met = met.or(rays.on(simd, &windows, LONGEST - neighbour)).or(rays.on(simd, &windows, LONGEST + neighbour));
@@ -438,7 +457,12 @@ impl LineFitter {
 
 #[cfg(test)]
 mod tests {
+    use rand::SeedableRng;
+    use rand_distr::{Distribution, Normal};
+    use rand_pcg::Pcg64;
+
     use super::*;
+    use crate::geometry::Point;
     use crate::scan::BeamGeometry;
     use crate::time::Stamp;
 
@@ -470,5 +494,26 @@ mod tests {
     fn a_lone_point_is_no_surface() {
         let surfaces = surfaces(&corner(Some(10)), 0.01);
         assert!(surfaces[10].is_none() && !surfaces[9].is_none() && !surfaces[11].is_none());
+    }
+
+    /// What a laser in the middle of a square room of 10 m sees; standard deviation of the ranges, m.
+    fn square_room(beams: usize, noise: f64) -> Scan {
+        let beams = BeamGeometry::new(-2.3, 4.6 / beams as f64, beams);
+        let (normal, mut random) = (Normal::new(0.0, noise).unwrap(), Pcg64::seed_from_u64(3));
+        let range = |v: &Point| 5.0 / v.x.abs().max(v.y.abs()) + normal.sample(&mut random);
+        let ranges = beams.directions().iter().map(range).collect::<Vec<_>>();
+        Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), ranges).unwrap()
+    }
+
+    #[test]
+    fn lines_of_many_rays_show_the_noise() {
+        let mut fitter = LineFitter::default();
+        for (beams, noise, assumed) in [(1081, 0.02, 0.01), (1081, 0.005, 0.01), (4000, 0.03, 0.03)] {
+            fitter.fit(&square_room(beams, noise), assumed, &mut Vec::new());
+            let shown = fitter.shown_variance(assumed).unwrap().sqrt();
+            assert!((shown / noise - 1.0).abs() < 0.15, "{beams} beams, {noise} m: {shown} m");
+        }
+        fitter.fit(&square_room(361, 0.02), 0.01, &mut Vec::new());
+        assert_eq!(fitter.shown_variance(0.01), None, "too few rays");
     }
 }

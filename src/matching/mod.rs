@@ -74,7 +74,7 @@ crate::knobs! {
         epsilon_rotation: f64 = 1e-4, in 0 to 1, unit "rad";
         /// Least part of the sensed rays that must find a correspondence.
         min_correspondence_ratio: f64 = 0.2, in 0 to 1;
-        /// Standard deviation of a range, for the covariance; where the residuals say more, they count.
+        /// Standard deviation of a range; where keyframes of many rays show more, that counts.
         range_noise: f64 = 0.01, in 0.0001 to 1, unit "m";
     }
 }
@@ -228,6 +228,14 @@ impl Matcher {
             trace: Vec::with_capacity(STAGES * knobs.max_iterations as usize),
             knobs: knobs.clone(),
         }
+    }
+
+    /// The same, but it learns from the scans it prepares how much ranges err. To a single match that makes uneven walls less precise than
+    /// they are; along a path it keeps errors that neighbouring rays share from being taken for knowledge, again and again.
+    #[must_use]
+    pub fn learning_noise(mut self) -> Self {
+        self.pairing.learn_noise();
+        self
     }
 
     /// Prepares a scan to be matched to.

@@ -148,7 +148,7 @@ impl LaserOdometry {
     pub fn new(knobs: &OdometryKnobs, matching: &MatchingKnobs, rejection: &RejectionKnobs) -> Self {
         Self {
             knobs: knobs.clone(),
-            matcher: Matcher::new(matching, rejection),
+            matcher: Matcher::new(matching, rejection).learning_noise(),
             sources: MotionSources::default(),
             waited_in_vain: false,
             map: LocalMap::default(),

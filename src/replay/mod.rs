@@ -47,6 +47,12 @@ impl Topics {
         Ok(Self { imu: optional::<Imu>(bag, imu, "/imu/data")?, ..self })
     }
 
+    /// Of the same, the scans alone.
+    #[must_use]
+    pub fn scan_only(self) -> Self {
+        Self { odometry: None, imu: None, ..self }
+    }
+
     /// Every topic that is read.
     pub fn all(&self) -> Vec<&str> {
         let optional = self.odometry.as_deref().into_iter().chain(self.imu.as_deref());

@@ -27,6 +27,9 @@ pub(crate) struct InputFlags {
     /// Topic of an IMU [default: /imu/data, if the bag has it]
     #[arg(long)]
     imu_topic: Option<String>,
+    /// Do without odometry and IMU, even if the bag has them
+    #[arg(long, conflicts_with_all = ["odom_topic", "imu_topic"])]
+    scan_only: bool,
     /// True poses to compare with: a TUM file, or a topic of the bag
     #[arg(long, value_name = "FILE|TOPIC")]
     pub(crate) truth: Option<String>,
@@ -39,7 +42,8 @@ pub(crate) struct InputFlags {
 
 impl InputFlags {
     pub(crate) fn topics(&self, bag: &Bag) -> Result<Topics, BagError> {
-        Topics::resolve(bag, &self.scan_topic, self.odom_topic.as_deref())?.with_imu(bag, self.imu_topic.as_deref())
+        let topics = Topics::resolve(bag, &self.scan_topic, self.odom_topic.as_deref())?;
+        if self.scan_only { Ok(topics.scan_only()) } else { topics.with_imu(bag, self.imu_topic.as_deref()) }
     }
 }
 

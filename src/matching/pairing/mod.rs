@@ -2,6 +2,7 @@
 
 mod closest_point;
 mod projective;
+mod range_noise;
 mod verdict;
 
 pub(super) use closest_point::ClosestPoint;
@@ -69,6 +70,9 @@ impl Agreement {
 pub(super) trait Pairing: Send {
     /// Prepares a scan to be matched to.
     fn view(&mut self, scan: Scan) -> View;
+
+    /// Learns from now on, from the scans it prepares, how much ranges err.
+    fn learn_noise(&mut self) {}
 
     /// Sets what the next scans are matched to: one view at least, the first of them at the origin.
     fn set_views(&mut self, views: &[PlacedView]);

@@ -12,6 +12,7 @@
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 use nalgebra::Matrix2;
 
+use super::range_noise::RangeNoise;
 use super::verdict::Verdict;
 use super::{Agreement, Metric, Pairing, Pairs, PlacedView};
 use crate::geometry::{Point, Pose2};
@@ -270,8 +271,8 @@ impl Totals {
 }
 
 pub(in crate::matching) struct Projective {
-    /// Standard deviation of a range, m.
-    noise: f64,
+    range_noise: RangeNoise,
+    learns_noise: bool,
     /// What the processor can do.
     level: Level,
     fitter: LineFitter,
@@ -293,9 +294,11 @@ pub(in crate::matching) struct Projective {
 }
 
 impl Projective {
+    /// `noise`: standard deviation of a range at least, m.
     pub(in crate::matching) fn new(noise: f64) -> Self {
         Self {
-            noise,
+            range_noise: RangeNoise::new(noise),
+            learns_noise: false,
             level: Level::new(),
             fitter: LineFitter::default(),
             views: Vec::new(),
@@ -321,8 +324,9 @@ impl Projective {
     #[allow(clippy::cast_possible_truncation)] // to single precision
     fn sum<S: Simd>(&mut self, simd: S, view: usize, view_from_sensed: &Pose2) -> Sums {
         let onto = Onto::new(&self.views[view].view, view_from_sensed);
-        let kernel_width = (KERNEL_SIGMAS * self.noise).powi(2) as f32;
-        let per_square = (self.noise * self.noise).recip() as f32;
+        let noise = self.range_noise.deviation();
+        let kernel_width = (KERNEL_SIGMAS * noise).powi(2) as f32;
+        let per_square = (noise * noise).recip() as f32;
         let floor = self.floor as f32;
         let zero = f32x8::splat(simd, 0.0);
         let mut sums = [zero; Sum::Count as usize];
@@ -417,8 +421,18 @@ impl Projective {
 impl Pairing for Projective {
     fn view(&mut self, scan: Scan) -> View {
         let mut surfaces = Vec::with_capacity(scan.len() + 1);
-        self.fitter.fit(&scan, self.noise, &mut surfaces);
+        let noise = self.range_noise.deviation();
+        self.fitter.fit(&scan, noise, &mut surfaces);
+        if self.learns_noise
+            && let Some(variance) = self.fitter.shown_variance(noise)
+        {
+            self.range_noise.observe(variance);
+        }
         View::new(scan, surfaces)
+    }
+
+    fn learn_noise(&mut self) {
+        self.learns_noise = true;
     }
 
     fn set_views(&mut self, views: &[PlacedView]) {
@@ -429,8 +443,9 @@ impl Pairing for Projective {
     fn begin(&mut self, guess: &FirstGuess) {
         self.guess = *guess;
         self.verdicts.clear();
-        self.floor = (FIRST_WIDTH / (KERNEL_SIGMAS * self.noise)).powi(2);
-        let unit = DEPENDENCE * self.noise * self.noise;
+        let noise = self.range_noise.deviation();
+        self.floor = (FIRST_WIDTH / (KERNEL_SIGMAS * noise)).powi(2);
+        let unit = DEPENDENCE * noise * noise;
         self.prior = guess
             .prior
             .map_or_else(QuadraticForm::default, |Prior { pose, covariance }| QuadraticForm::of_prior(&pose, &covariance, unit));
