@@ -21,7 +21,7 @@ crate::knobs! {
         finish_after_answer: bool = true;
         /// Share of the answers to be in time where the time budget ends the work on them: high keeps deadlines, low uses the time up to
         /// the last.
-        confidence: f64 = 0.9995, in 0.5 to 0.9999;
+        confidence: f64 = 0.9998, in 0.5 to 0.9999;
         /// Shared memory by which a controller on the same machine calls for answers, such as `/anytime_scan_matcher`; unset: none.
         shared_memory: Option<String> = None;
         /// Profile that `anytime profile` has written: the report says what error it leads to expect of the time budget.
