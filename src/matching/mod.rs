@@ -48,8 +48,8 @@ const SEARCH_ITERATIONS: usize = 5;
 const DISTRUST: f64 = 25.0;
 /// Each level of the coarse-to-fine schedule has so many times the rays of the one before.
 const LEVEL_RATIO: usize = 4;
-/// Coarse levels make do with so many views, the first ones.
-const COARSE_VIEWS: usize = 3;
+/// Coarse levels make do with so many views, the first ones: they should see most of what the scan sees.
+pub(crate) const COARSE_VIEWS: usize = 3;
 /// A coarse level is left when its steps are below this many epsilons: what remains, the finer one corrects anyway.
 const COARSE_EPSILONS: f64 = 10.0;
 

@@ -9,7 +9,7 @@ use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use crate::geometry::{Pose2, PoseCovariance};
-use crate::matching::{PlacedView, View};
+use crate::matching::{COARSE_VIEWS, PlacedView, View};
 
 /// A turn by this much makes two views as different as a metre between them does, rad.
 const METRE_OF_TURN: f64 = 1.0;
@@ -18,7 +18,7 @@ const METRE_OF_TURN: f64 = 1.0;
 const REACH: f64 = 6.0;
 
 /// Of the keyframes that serve a scan so many are the nearest, which see most of what it sees.
-const NEAREST: usize = 3;
+const NEAREST: usize = COARSE_VIEWS;
 
 /// Each further one is so much farther from the scan, m: it sees less of the same, but errs otherwise than the ones before, so that the
 /// errors from keyframe to keyframe add up less.

@@ -66,7 +66,7 @@ crate::knobs! {
         /// Keyframes that a scan is matched to at once: the three nearest, and some farther and farther out. Coarse levels make do with
         /// the three; nearest points are looked for in the first of them alone.
         views: u32 = 6, in 1 to 20;
-        /// Keyframes of the local map at most; beyond, the oldest go. One takes 30 bytes per beam.
+        /// Keyframes of the local map at most; beyond, the oldest go. One takes 30 to 50 bytes per beam.
         max_keyframes: u32 = 1000, in 1 to 10000;
         /// Recognise places of earlier on the path, in the local map, and put the map right: poses then jump in the map frame, never in
         /// the odom frame. Takes projective pairs. Without, keyframes serve for 20 m of the way, and map and odom are one.
@@ -587,9 +587,9 @@ impl LaserOdometry {
         let (seen_twist, twist) = self.velocity(&answer.map_from_base, seconds);
         let is_lost = answer.is_lost || twist != seen_twist;
         let becomes_keyframe = becomes_keyframe || is_lost;
+        let map_from_laser = answer.map_from_base * *base_from_laser;
         if becomes_keyframe {
             self.counters.keyframes += 1;
-            let map_from_laser = answer.map_from_base * *base_from_laser;
             let covariance =
                 uncertainty::compound(&answer.map_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
             self.upcoming_keyframe =
@@ -600,7 +600,7 @@ impl LaserOdometry {
         self.last = Some(Last {
             stamp: scan.stamp(),
             map_from_base: answer.map_from_base,
-            map_from_laser: answer.map_from_base * *base_from_laser,
+            map_from_laser,
             covariance: answer.covariance,
             seen_twist,
             twist,
