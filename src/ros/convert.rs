@@ -15,6 +15,9 @@ use crate::geometry::{Point, Pose2};
 use crate::io::profile_file::ExpectedError;
 use crate::odometry::{MatchedPoints, OdometryCounters, Outcome, Registration};
 
+/// Height of one marker above another, m.
+const LAYER: f64 = 0.02;
+
 /// One estimate on its way out.
 pub(super) struct Answer<'a> {
     pub(super) estimate: &'a Estimate,
@@ -124,14 +127,17 @@ impl Answer<'_> {
         ]
     }
 
+    /// Each lies a little above the one before, or what matches would hide each other by turns.
     fn marker(&self, id: i32, kind: u8, size: f64, [r, g, b]: [f32; 3], points: Vec<PointMessage>) -> Marker {
+        let mut place = pose(&Pose2::IDENTITY);
+        place.position.z = LAYER * f64::from(id);
         Marker {
             header: self.map_header(),
             ns: "scan_match".into(),
             id,
             type_: i32::from(kind),
             action: i32::from(Marker::ADD),
-            pose: pose(&Pose2::IDENTITY),
+            pose: place,
             scale: Vector3 { x: size, y: size, z: 0.0 },
             color: ColorRGBA { r, g, b, a: 1.0 },
             points,
