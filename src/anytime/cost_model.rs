@@ -67,8 +67,10 @@ impl CostModel {
     /// Takes note of a cost. [`Self::learn`] draws the conclusions.
     pub fn observe(&mut self, phase: Phase, rays: usize, cost: Duration) {
         if rays > 0 {
-            let usual = self.typical(phase, rays);
-            if phase == Phase::Iteration && !usual.is_zero() {
+            if phase == Phase::Iteration
+                && let usual = self.typical(phase, rays)
+                && !usual.is_zero()
+            {
                 self.preemptions.observe(usual, cost);
             }
             self.phases[phase as usize][octave(rays)].push(nanoseconds(cost) / rays as f32);

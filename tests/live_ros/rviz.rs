@@ -61,8 +61,7 @@ fn rviz_shows_reference_matched_points_and_path() {
     let mut found = [0; 3];
     let shown = within(Duration::from_secs(90), || {
         std::thread::sleep(Duration::from_secs(1));
-        let now = points_of_each_colour(&display, &picture);
-        found = std::array::from_fn(|i| now[i].max(found[i]));
+        found = points_of_each_colour(&display, &picture);
         found.iter().all(|&count| count > 20)
     });
     eprintln!("points of the reference's, the matched points' and the path's colour: {found:?}");
