@@ -161,6 +161,27 @@ fn a_wheel_that_spins_is_survived() {
     assert!(error < 0.02, "{error}");
 }
 
+#[test]
+fn wheels_that_count_forward_while_the_robot_backs_are_not_believed() {
+    let settings = settings(3.0, 0.0);
+    let (mut count, mut before, mut told) = (0, None, Pose2::IDENTITY);
+    // From the fourth second to the eighth every step is told the other way round.
+    let backwards = |odometry: &mut Odometry| {
+        let pose = anytime_scan_matcher::app::planar_pose(&odometry.pose.pose).unwrap();
+        let step = before.replace(pose).map_or(pose, |before| before.between(&pose));
+        count += 1;
+        let is_wrong = (200..400).contains(&count);
+        told = told * if is_wrong { Pose2 { x: -step.x, ..step } } else { step };
+        odometry.pose.pose = told.into();
+    };
+    let mut app = app(&[]);
+    let error = error(&answers(&settings, &mut app, |_| true, backwards));
+    let disbelieved = app.odometry_counters().odometry_disbelieved;
+    println!("four seconds of odometry the wrong way: {error:.4} m, not believed {disbelieved} times");
+    assert!(error < 0.02, "{error}");
+    assert!((150..=165).contains(&disbelieved), "{disbelieved}");
+}
+
 /// Laps with a laser whose beams are a little farther apart than it says, so that every turn is measured too small.
 fn laps_of_a_laser_that_errs(app: &mut App) -> Vec<(Pose2, Registration)> {
     let mut settings = settings(3.0, 0.0);

@@ -46,6 +46,8 @@ pub(super) struct Attempt {
     pub(super) last: Last,
     /// Motion of the base since then.
     pub(super) prediction: Prediction,
+    /// What odometry says of that motion, believed or not.
+    pub(super) said: Option<Prediction>,
     /// Place of the laser on the base.
     pub(super) base_from_laser: Pose2,
 }

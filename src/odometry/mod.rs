@@ -10,6 +10,7 @@ mod local_map;
 mod loop_closure;
 mod registration;
 pub mod sources;
+mod trust;
 pub mod uncertainty;
 pub mod wheel;
 
@@ -27,6 +28,7 @@ use loop_closure::{LoopCloser, Recognition, Sighting};
 pub use registration::{MatchedPoints, Outcome, RefinementReport, Registration};
 use registration::{matched_points, report};
 use sources::MotionSources;
+use trust::Trust;
 use wheel::{WheelEvent, WheelSample};
 
 /// Stamps that go back farther than this start a new run (a bag played in a loop); less is a scan out of order, s.
@@ -115,6 +117,8 @@ pub struct OdometryCounters {
     pub odometry_resets: u64,
     /// Scans whose motion the wheel odometry did not cover.
     pub without_odometry: u64,
+    /// Scans whose motion was not predicted by the odometry there was, as the matches before had contradicted it.
+    pub odometry_disbelieved: u64,
 }
 
 /// Laser odometry: scans and wheel odometry in, poses out.
@@ -122,6 +126,8 @@ pub struct LaserOdometry {
     knobs: OdometryKnobs,
     matcher: Matcher,
     sources: MotionSources,
+    /// Whether what the sources say is believed.
+    trust: Trust,
     /// A scan was answered before the odometry had come for it: it may have died, none is waited for until it is back.
     waited_in_vain: bool,
     map: LocalMap,
@@ -150,6 +156,7 @@ impl LaserOdometry {
             knobs: knobs.clone(),
             matcher: Matcher::new(matching, rejection).learning_noise(),
             sources: MotionSources::default(),
+            trust: Trust::default(),
             waited_in_vain: false,
             map: LocalMap::default(),
             map_from_odom: Pose2::IDENTITY,
@@ -198,6 +205,7 @@ impl LaserOdometry {
     pub fn restart_at(&mut self, map_from_base: Pose2) {
         self.forget_reference();
         self.usual_agreement = 1.0;
+        self.trust = Trust::default();
         self.last = None;
         self.map_from_odom = Pose2::IDENTITY;
         self.start = map_from_base;
@@ -264,8 +272,7 @@ impl LaserOdometry {
         let undistorted = self.undistorted(scan, base_from_laser);
         let scan = undistorted.as_ref().unwrap_or(scan);
         let Some(last) = self.last else { return self.answer_first(scan, base_from_laser) };
-        let prediction = self.predict(&last, scan.stamp());
-        let attempt = Attempt { last, prediction, base_from_laser: *base_from_laser };
+        let attempt = self.attempt(last, scan.stamp(), base_from_laser);
         let Some(keyframe) = self.keyframe else {
             return self.answer_predicted(scan, &attempt, None, "no reference scan".into(), false, true);
         };
@@ -280,6 +287,8 @@ impl LaserOdometry {
         };
         if worth_finishing {
             self.unfinished = Some((scan.clone(), attempt, found.keyframe_from_laser));
+        } else {
+            self.judge_odometry(&attempt, &found);
         }
         match found.answer {
             Ok(answer) => self.conclude(scan, base_from_laser, answer, becomes_keyframe),
@@ -298,7 +307,7 @@ impl LaserOdometry {
         if !self.knobs.deskew || seconds <= 0.0 || seconds > LONGEST_SWEEP {
             return None;
         }
-        let by_wheels = self.sources.motion(scan.stamp(), scan.stamp().offset_by(seconds));
+        let by_wheels = self.sources.motion(scan.stamp(), scan.stamp().offset_by(seconds)).filter(|_| self.trust.is_given());
         let motion = by_wheels.or_else(|| Some(self.last?.twist.motion(seconds)))?;
         let laser_motion = base_from_laser.inverse() * motion * *base_from_laser;
         Some(scan.undistorted(&Twist2::of_motion(&laser_motion, seconds), seconds))
@@ -308,6 +317,7 @@ impl LaserOdometry {
     pub fn finish(&mut self, driver: &mut Driver) {
         let (Some((scan, attempt, reached)), Some(keyframe)) = (self.unfinished.take(), self.keyframe) else { return };
         let found = self.match_to(&keyframe, &scan, &attempt, reached, driver);
+        self.judge_odometry(&attempt, &found);
         let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
         if let Ok(answer) = found.answer {
             // As if this had been the answer; a keyframe stays one.
@@ -517,7 +527,7 @@ impl LaserOdometry {
         becomes_keyframe: bool,
         is_lost: bool,
     ) -> Registration {
-        let Attempt { last, prediction: Prediction { motion, covariance }, base_from_laser } = attempt;
+        let Attempt { last, prediction: Prediction { motion, covariance }, base_from_laser, .. } = attempt;
         self.counters.predicted += 1;
         let error = ErrorEstimate::of_covariance(covariance);
         let answer = Answer {
@@ -543,7 +553,7 @@ impl LaserOdometry {
         }
         self.counters.predicted += 1;
         let (map_from_base, covariance, prediction) = match self.last {
-            Some(last) => (last.map_from_base, last.covariance, self.predict(&last, stamp)),
+            Some(last) => (last.map_from_base, last.covariance, self.predict(&last, stamp).0),
             None => (self.start, PoseCovariance::zeros(), Prediction::NONE),
         };
         let Prediction { motion, covariance: motion_covariance } = prediction;
@@ -558,19 +568,35 @@ impl LaserOdometry {
         }
     }
 
-    /// The motion of the base since the last answer: by what says so, else at constant velocity.
-    fn predict(&mut self, last: &Last, stamp: Stamp) -> Prediction {
+    /// What is known of the pose of a scan taken at `stamp`.
+    fn attempt(&mut self, last: Last, stamp: Stamp, base_from_laser: &Pose2) -> Attempt {
+        let (prediction, said) = self.predict(&last, stamp);
+        Attempt { last, prediction, said, base_from_laser: *base_from_laser }
+    }
+
+    /// The motion of the base since the last answer: by what says so, where that is believed, else at constant velocity; and what was
+    /// said of it.
+    fn predict(&mut self, last: &Last, stamp: Stamp) -> (Prediction, Option<Prediction>) {
         self.waited_in_vain = self.sources.is_behind(stamp);
-        let (motion, covariance) = if let Some(motion) = self.sources.motion(last.stamp, stamp) {
-            (motion, uncertainty::of_wheels(&motion))
-        } else {
-            self.counters.without_odometry += 1;
-            let seconds = stamp.seconds_since(last.stamp);
-            let motion = if seconds <= MAX_PREDICTION_GAP { last.twist.motion(seconds) } else { Pose2::IDENTITY };
-            (motion, uncertainty::of_constant_velocity(seconds))
-        };
+        let said = self.sources.motion(last.stamp, stamp);
+        let said = said.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion) });
+        let believed = said.filter(|_| self.trust.is_given());
+        self.counters.without_odometry += u64::from(said.is_none());
+        self.counters.odometry_disbelieved += u64::from(said.is_some() && believed.is_none());
+        let seconds = stamp.seconds_since(last.stamp);
+        let Prediction { motion, covariance } = believed.unwrap_or_else(|| Prediction {
+            motion: if seconds <= MAX_PREDICTION_GAP { last.twist.motion(seconds) } else { Pose2::IDENTITY },
+            covariance: uncertainty::of_constant_velocity(seconds),
+        });
         let (motion, covariance) = self.sources.with_heading(motion, covariance, last.stamp, stamp);
-        Prediction { motion, covariance }
+        (Prediction { motion, covariance }, said)
+    }
+
+    /// What a match that is done makes of what odometry said; a scan that was not matched says nothing.
+    fn judge_odometry(&mut self, attempt: &Attempt, found: &Found) {
+        if let (Some(said), Ok(answer)) = (&attempt.said, &found.answer) {
+            self.trust.judge(said, &attempt.last.map_from_base.between(&answer.map_from_base));
+        }
     }
 
     /// The velocity that leads from the last answer to this one, and the velocity to believe in: a pose that jumps, as when the robot is

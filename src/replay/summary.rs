@@ -69,6 +69,7 @@ impl Ending {
             (self.counters.time_jumps, "jumps back in time (each started a new run)"),
             (self.counters.duplicate_odometry, "odometry messages with the stamp of the one before"),
             (self.counters.odometry_resets, "jumps of the odometry"),
+            (self.counters.odometry_disbelieved, "scans predicted without the odometry, which the scans before had contradicted"),
         ];
         problems.extend(counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")));
         problems
