@@ -8,6 +8,7 @@ use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
+use super::{drift, uncertainty};
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::{COARSE_VIEWS, PlacedView, View};
 
@@ -27,8 +28,12 @@ const SPACING: f64 = 1.0;
 /// Over this way a path does not drift by much, m.
 const SHORT_WAY: f64 = 20.0;
 
-/// As far apart are keyframes along the path that the robot came between in a way that is not known, m.
+/// As far apart are keyframes along the path that the robot came between in a way that is not known, m, ...
 const LOST_WAY: f64 = 2.0 * SHORT_WAY;
+/// ... and such a step errs by this, m ...
+const LOST_ERROR: f64 = 1.0;
+/// ... and this, rad.
+const LOST_TURN: f64 = 0.3;
 
 /// Where a scan was taken.
 #[derive(Clone, Copy, Debug)]
@@ -37,6 +42,8 @@ pub(super) struct Placement {
     pub(super) map_from_laser: Pose2,
     /// Covariance of that pose, in the map frame.
     pub(super) covariance: PoseCovariance,
+    /// What the last step of the way there adds to it.
+    pub(super) step_covariance: PoseCovariance,
 }
 
 /// A scan that others are matched to.
@@ -88,7 +95,7 @@ impl LocalMap {
 
     /// Adds a keyframe. Of more than `most`, the oldest goes. `is_lost`: how the robot came here from the last one is not known, so that
     /// none of those so far serve any more until they are recognised.
-    pub(super) fn add(&mut self, place: Placement, view: Arc<View>, is_lost: bool, most: usize) {
+    pub(super) fn add(&mut self, mut place: Placement, view: Arc<View>, is_lost: bool, most: usize) {
         let way = self
             .keyframes
             .back()
@@ -99,6 +106,7 @@ impl LocalMap {
         let way = if is_lost { way + LOST_WAY } else { way };
         if is_lost {
             self.matched.clear();
+            place.step_covariance += uncertainty::diagonal(LOST_ERROR, LOST_TURN);
         }
         self.keyframes.push_back(Keyframe { place, view, way });
         let oldest = self.keyframes[0].way;
@@ -192,16 +200,13 @@ impl LocalMap {
         self.way() - recognised.way.max(self.held_until)
     }
 
-    /// The path has drifted on the free way, and is put right: `correction` for the last keyframe, and in proportion to the way for
-    /// those before.
+    /// The path has drifted on the free way, and is put right: `correction` for the last keyframe, and for those before what follows
+    /// from how sure their steps are.
     pub(super) fn correct(&mut self, recognised: &Unrecognised, correction: &Pose2) {
-        let whole = self.free_way(recognised).max(f64::MIN_POSITIVE);
-        let start = self.way() - whole;
-        for Keyframe { place, way, .. } in &mut self.keyframes {
-            let part = ((*way - start) / whole).clamp(0.0, 1.0);
-            let pose = place.map_from_laser;
-            place.map_from_laser = pose.interpolate(&(*correction * pose), part);
-        }
+        let start = self.way() - self.free_way(recognised);
+        let Some((last, _)) = self.last() else { return };
+        let drifted = self.keyframes.iter_mut().filter(|keyframe| keyframe.way > start);
+        drift::put_right(drifted.map(|keyframe| &mut keyframe.place), &(*correction * last));
     }
 
     /// Way to the last keyframe, m.
@@ -295,7 +300,8 @@ mod tests {
         let view = Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default()).view(scan);
         let mut map = LocalMap::default();
         for &(x, y) in places {
-            let place = Placement { map_from_laser: Pose2::new(x, y, 0.0), covariance: PoseCovariance::zeros() };
+            let (covariance, step_covariance) = (PoseCovariance::zeros(), uncertainty::diagonal(0.01, 1e-6));
+            let place = Placement { map_from_laser: Pose2::new(x, y, 0.0), covariance, step_covariance };
             map.add(place, Arc::clone(&view), false, most);
             around(&mut map, (x, y), 1);
         }

@@ -5,6 +5,7 @@
 //! laser. When a place is recognised, map and odom part: [`Registration::map_from_odom`].
 
 mod attempt;
+mod drift;
 pub mod heading;
 mod local_map;
 mod loop_closure;
@@ -365,7 +366,7 @@ impl LaserOdometry {
             is_lost: false,
             map_from_base: map_from_laser * laser_from_base,
             covariance: uncertainty::compound(&map_from_laser, &laser_covariance, &laser_from_base, &PoseCovariance::zeros()),
-            step_covariance: match_covariance,
+            step_covariance: uncertainty::turned(&match_covariance, keyframe.map_from_laser.theta),
             refinement: Some(report),
             predicted_error: ErrorEstimate::of_covariance(&prediction_covariance),
             estimated_error,
@@ -535,7 +536,7 @@ impl LaserOdometry {
             is_lost,
             map_from_base: last.map_from_base * *motion,
             covariance: uncertainty::compound(&last.map_from_base, &last.covariance, motion, covariance),
-            step_covariance: *covariance,
+            step_covariance: uncertainty::turned(covariance, last.map_from_base.theta),
             refinement,
             predicted_error: error,
             estimated_error: error,
@@ -618,11 +619,12 @@ impl LaserOdometry {
             self.counters.keyframes += 1;
             let covariance =
                 uncertainty::compound(&answer.map_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
-            self.upcoming_keyframe =
-                Some(UpcomingKeyframe { scan: scan.clone(), place: Placement { map_from_laser, covariance }, is_lost });
+            let place = Placement { map_from_laser, covariance, step_covariance: answer.step_covariance };
+            self.upcoming_keyframe = Some(UpcomingKeyframe { scan: scan.clone(), place, is_lost });
         }
-        let twist_covariance =
-            seconds.map_or_else(PoseCovariance::zeros, |seconds| answer.step_covariance * 2.0 / (seconds * seconds));
+        let twist_covariance = seconds.map_or_else(PoseCovariance::zeros, |seconds| {
+            uncertainty::turned(&answer.step_covariance, -answer.map_from_base.theta) * 2.0 / (seconds * seconds)
+        });
         self.last = Some(Last {
             stamp: scan.stamp(),
             map_from_base: answer.map_from_base,
@@ -658,6 +660,7 @@ struct Answer {
     is_lost: bool,
     map_from_base: Pose2,
     covariance: PoseCovariance,
+    /// What the step from the last answer, or the keyframe, adds to that.
     step_covariance: PoseCovariance,
     refinement: Option<RefinementReport>,
     predicted_error: ErrorEstimate,

@@ -14,14 +14,19 @@ pub fn compound(a: &Pose2, a_covariance: &PoseCovariance, b: &Pose2, b_covarianc
         0.0, 1.0, lever.x,
         0.0, 0.0, 1.0,
     );
-    let (sin, cos) = a.theta.sin_cos();
+    by_a * a_covariance * by_a.transpose() + turned(b_covariance, a.theta)
+}
+
+/// A covariance along other axes: those that it is given along lie at `angle` in the new ones, rad.
+pub fn turned(covariance: &PoseCovariance, angle: f64) -> PoseCovariance {
+    let (sin, cos) = angle.sin_cos();
     #[rustfmt::skip]
-    let by_b = Matrix3::new(
+    let turn = Matrix3::new(
         cos, -sin, 0.0,
         sin, cos, 0.0,
         0.0, 0.0, 1.0,
     );
-    by_a * a_covariance * by_a.transpose() + by_b * b_covariance * by_b.transpose()
+    turn * covariance * turn.transpose()
 }
 
 /// Covariance of a motion measured by wheels, seen from its start: grows with the way and the turn. The figures suit uncalibrated
@@ -37,6 +42,7 @@ pub fn of_constant_velocity(seconds: f64) -> PoseCovariance {
     diagonal(0.01 + 5.0 * half_square, 0.01 + 20.0 * half_square)
 }
 
-fn diagonal(position: f64, heading: f64) -> PoseCovariance {
+/// Covariance of independent errors: standard deviations in x and y, m, and of the heading, rad.
+pub fn diagonal(position: f64, heading: f64) -> PoseCovariance {
     PoseCovariance::from_diagonal(&[position * position, position * position, heading * heading].into())
 }
