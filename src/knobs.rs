@@ -194,18 +194,18 @@ pub fn nearest_name<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str
 /// ```
 #[macro_export]
 macro_rules! choices {
-    ($(#[$attribute:meta])* pub enum $name:ident { $($(#[doc = $help:literal])* $variant:ident = $text:literal),+ $(,)? }) => {
+    ($(#[$attribute:meta])* pub enum $name:ident { $($(#[doc = $help:literal])* $(#[cfg($condition:meta)])? $variant:ident = $text:literal),+ $(,)? }) => {
         $(#[$attribute])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-        pub enum $name { $($(#[doc = $help])* $variant),+ }
+        pub enum $name { $($(#[doc = $help])* $(#[cfg($condition)])? $variant),+ }
 
         impl $name {
             /// Every choice, in declaration order.
-            pub const ALL: &'static [Self] = &[$(Self::$variant),+];
+            pub const ALL: &'static [Self] = &[$($(#[cfg($condition)])? Self::$variant),+];
 
             /// The name of the choice in files and parameters.
             pub fn name(self) -> &'static str {
-                match self { $(Self::$variant => $text),+ }
+                match self { $($(#[cfg($condition)])? Self::$variant => $text),+ }
             }
         }
 
@@ -221,7 +221,7 @@ macro_rules! choices {
                 self.name().into()
             }
             fn kind() -> String {
-                [$($text),+].join(" | ")
+                [$($(#[cfg($condition)])? $text),+].join(" | ")
             }
         }
     };

@@ -14,12 +14,13 @@
 //!
 //! # Where things are
 //!
-//! From the bottom up; a module knows only modules below its own (`tests/layers.rs` holds this against the imports).
+//! From the bottom up; a module knows only modules below its own (`tests/offline/layers.rs` holds this against the imports).
 //!
 //! | module | what it is |
 //! |---|---|
 //! | [`time`], [`geometry`] | stamps to the nanosecond; poses of the plane, named `odom_from_base` |
 //! | [`quantile`] | quantiles in linear time |
+//! | `parallel` | work that threads share |
 //! | [`knobs`](mod@knobs) | parameters, each declared once |
 //! | [`map`] | occupancy grids, distances in them |
 //! | [`raycasting`] | how far a beam goes in a map: four methods |
@@ -41,7 +42,7 @@
 //!
 //! # What always holds
 //!
-//! - [`matching`] never reads a clock, prints or panics, and its warm loop never allocates (`tests/no_allocation.rs`).
+//! - [`matching`] never reads a clock, prints or panics, and its warm loop never allocates (`tests/offline/no_allocation.rs`).
 //! - Every scan gets exactly one answer. One that cannot be matched, or read, is answered with the prediction, and says why.
 //! - Stamps are those of the scans. Nothing a message says depends on the time it is handled at, except what measures that time.
 //! - With no time budget, or on the virtual clock, the same input gives the same output, to the last bit.
@@ -52,11 +53,14 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::panic, clippy::cast_possible_truncation))]
 
 pub mod anytime;
+#[cfg(feature = "cli")]
 pub mod app;
 pub mod cloud;
+#[cfg(feature = "cli")]
 pub mod config;
 pub mod evaluation;
 pub mod geometry;
+#[cfg(feature = "cli")]
 pub mod io;
 pub mod knobs;
 pub mod localization;
@@ -64,14 +68,17 @@ pub mod map;
 pub mod matching;
 pub mod messages;
 pub mod odometry;
+mod parallel;
+#[cfg(feature = "cli")]
 pub mod profile;
 pub mod quantile;
 pub mod raycasting;
+#[cfg(feature = "cli")]
 pub mod replay;
 #[cfg(feature = "ros")]
 pub mod ros;
 pub mod scan;
-#[cfg(target_os = "linux")]
+#[cfg(all(feature = "cli", target_os = "linux"))]
 pub mod shared_memory;
 pub mod simulation;
 pub mod time;

@@ -29,11 +29,11 @@ impl Clock for MonotonicClock {
 
 /// The processor time of the thread that reads it: what others on the same machine take away does not count. A thread that sleeps
 /// stops it.
-#[cfg(target_os = "linux")]
+#[cfg(all(feature = "cli", target_os = "linux"))]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ProcessorClock;
 
-#[cfg(target_os = "linux")]
+#[cfg(all(feature = "cli", target_os = "linux"))]
 impl Clock for ProcessorClock {
     fn now(&self) -> Duration {
         // Never negative, and a second has fewer than 2^32 nanoseconds.

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use rayon::ThreadPoolBuildError;
 use thiserror::Error;
 
 use super::{InputError, MountSource, planar_pose, planar_twist};
@@ -40,7 +39,7 @@ const PRACTICE_SCANS: usize = 6;
 pub enum LocalizerError {
     /// The system gives no threads.
     #[error("cannot start the threads of the particle filter (localization.threads): {0}")]
-    Threads(#[from] ThreadPoolBuildError),
+    Threads(#[source] std::io::Error),
     /// The contract of the configuration is none.
     #[error(transparent)]
     Contract(#[from] ContractError),
@@ -394,7 +393,8 @@ fn filter_on(map: OccupancyGrid, config: &Config) -> Result<ParticleFilter, Loca
     if !map.cells().contains(&Cell::Free) {
         return Err(LocalizerError::NothingFree);
     }
-    let mut filter = ParticleFilter::new(map, &config.localization, &config.motion, &config.sensor)?;
+    let mut filter =
+        ParticleFilter::new(map, &config.localization, &config.motion, &config.sensor).map_err(LocalizerError::Threads)?;
     begin(&mut filter, config);
     Ok(filter)
 }

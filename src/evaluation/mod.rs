@@ -5,8 +5,10 @@
 
 pub mod association;
 pub mod ate;
+#[cfg(feature = "cli")]
 pub mod plot;
 pub mod relations;
+#[cfg(feature = "cli")]
 pub mod report;
 pub mod rpe;
 pub mod statistics;

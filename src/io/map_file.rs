@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use thiserror::Error;
 
+use super::gray_image::GrayImage;
 use crate::geometry::Pose2;
 use crate::map::grid::{Cell, OccupancyGrid};
 
@@ -105,15 +106,12 @@ fn check(map: &Description, path: &Path) -> Result<(), MapError> {
 /// The width of the image, and its pixels as cells from the lower left upwards.
 fn read_cells(map: &Description, path: &Path) -> Result<(usize, Vec<Cell>), MapError> {
     let image_path = path.parent().unwrap_or(Path::new("")).join(&map.image);
-    let bad = |problem: String| MapError::BadImage { path: path.into(), image: image_path.clone(), problem };
-    let reader = image::ImageReader::open(&image_path).and_then(image::ImageReader::with_guessed_format);
-    let pixels = reader.map_err(|error| bad(error.to_string()))?.decode().map_err(|error| bad(error.to_string()))?.into_luma8();
-    let width = usize::try_from(pixels.width()).map_err(|error| bad(error.to_string()))?;
-    if width == 0 {
-        return Err(bad("it has no pixels".into()));
-    }
-    let rows = pixels.as_raw().chunks_exact(width).rev();
-    Ok((width, rows.flatten().map(|&shade| classify(shade, map)).collect()))
+    let image = GrayImage::read(&image_path).map_err(|problem| MapError::BadImage {
+        path: path.into(),
+        image: image_path.clone(),
+        problem,
+    })?;
+    Ok((image.width(), image.rows().rev().flatten().map(|&shade| classify(shade, map)).collect()))
 }
 
 /// As `map_server` does: shades between the thresholds are unknown.

@@ -6,7 +6,7 @@ use super::observation::Observation;
 use super::particles::{Particles, effective_number, relative};
 use super::sensor::BeamTable;
 use super::streams::CHUNK;
-use super::workers::Workers;
+use crate::parallel::Workers;
 use crate::raycasting::{RayCaster, Viewpoint};
 
 /// Beams of all particles together that are cast before the clock is looked at: a fraction of a millisecond's work,

@@ -2,7 +2,6 @@
 
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
-use rayon::ThreadPoolBuildError;
 
 use super::LocalizationKnobs;
 use super::estimate;
@@ -16,12 +15,12 @@ use super::search::Search;
 use super::sensor::{BeamTable, SensorKnobs, expected_fit};
 use super::streams::{CHUNK, Streams};
 use super::update::{Update, particles_for};
-use super::workers::Workers;
 use crate::anytime::Driver;
 use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 use crate::map::grid::OccupancyGrid;
 use crate::map::indoors::indoor_cells;
 use crate::matching::StopReason;
+use crate::parallel::Workers;
 use crate::raycasting::{Fan, RayCaster, RayCasting, Viewpoint, turn};
 
 /// While the robot may be anywhere, each particle is moved by so much when chosen: no two shall stand for the same pose. Cells, rad.
@@ -106,7 +105,7 @@ impl ParticleFilter {
         knobs: &LocalizationKnobs,
         motion: &MotionKnobs,
         sensor: &SensorKnobs,
-    ) -> Result<Self, ThreadPoolBuildError> {
+    ) -> std::io::Result<Self> {
         let mut filter = Self {
             knobs: knobs.clone(),
             motion: motion.clone(),

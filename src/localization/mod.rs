@@ -17,7 +17,6 @@ mod search;
 pub mod sensor;
 mod streams;
 mod update;
-mod workers;
 
 use std::time::Duration;
 

@@ -2,12 +2,12 @@
 
 #![allow(missing_docs)] // the fields are those of the definitions under msg/
 
-use serde::{Deserialize, Serialize};
+use speedy::{Readable, Writable};
 
 use super::Message;
 
 /// `ackermann_msgs/AckermannDrive`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct AckermannDrive {
     pub steering_angle: f32,
     pub steering_angle_velocity: f32,
@@ -17,7 +17,7 @@ pub struct AckermannDrive {
 }
 
 /// `ackermann_msgs/AckermannDriveStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct AckermannDriveStamped {
     pub header: super::std_msgs::Header,
     pub drive: AckermannDrive,

@@ -2,13 +2,13 @@
 
 #![allow(missing_docs)] // the fields are those of the definitions under msg/
 
-use serde::{Deserialize, Serialize};
+use speedy::{Readable, Writable};
 
 use super::Message;
 use crate::geometry::Pose2;
 
 /// `geometry_msgs/Point`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct Point {
     pub x: f64,
     pub y: f64,
@@ -16,7 +16,7 @@ pub struct Point {
 }
 
 /// `geometry_msgs/PointStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct PointStamped {
     pub header: super::std_msgs::Header,
     pub point: Point,
@@ -33,7 +33,7 @@ impl Message for PointStamped {
 }
 
 /// `geometry_msgs/Quaternion`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct Quaternion {
     pub x: f64,
     pub y: f64,
@@ -61,7 +61,7 @@ impl Quaternion {
 }
 
 /// `geometry_msgs/Vector3`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct Vector3 {
     pub x: f64,
     pub y: f64,
@@ -69,7 +69,7 @@ pub struct Vector3 {
 }
 
 /// `geometry_msgs/Pose`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct Pose {
     pub position: Point,
     pub orientation: Quaternion,
@@ -82,7 +82,7 @@ impl From<Pose2> for Pose {
 }
 
 /// `geometry_msgs/PoseStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct PoseStamped {
     pub header: super::std_msgs::Header,
     pub pose: Pose,
@@ -101,10 +101,9 @@ impl Message for PoseStamped {
 }
 
 /// `geometry_msgs/PoseWithCovariance`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Readable, Writable)]
 pub struct PoseWithCovariance {
     pub pose: Pose,
-    #[serde(with = "serde_big_array::BigArray")]
     pub covariance: [f64; 36],
 }
 
@@ -115,7 +114,7 @@ impl Default for PoseWithCovariance {
 }
 
 /// `geometry_msgs/PoseWithCovarianceStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct PoseWithCovarianceStamped {
     pub header: super::std_msgs::Header,
     pub pose: PoseWithCovariance,
@@ -135,7 +134,7 @@ impl Message for PoseWithCovarianceStamped {
 }
 
 /// `geometry_msgs/Twist`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct Twist {
     pub linear: Vector3,
     pub angular: Vector3,
@@ -151,7 +150,7 @@ impl Message for Twist {
 }
 
 /// `geometry_msgs/TwistStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct TwistStamped {
     pub header: super::std_msgs::Header,
     pub twist: Twist,
@@ -169,10 +168,9 @@ impl Message for TwistStamped {
 }
 
 /// `geometry_msgs/TwistWithCovariance`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Readable, Writable)]
 pub struct TwistWithCovariance {
     pub twist: Twist,
-    #[serde(with = "serde_big_array::BigArray")]
     pub covariance: [f64; 36],
 }
 
@@ -183,7 +181,7 @@ impl Default for TwistWithCovariance {
 }
 
 /// `geometry_msgs/Transform`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct Transform {
     pub translation: Vector3,
     pub rotation: Quaternion,
@@ -196,7 +194,7 @@ impl From<Pose2> for Transform {
 }
 
 /// `geometry_msgs/TransformStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct TransformStamped {
     pub header: super::std_msgs::Header,
     pub child_frame_id: String,

@@ -12,15 +12,14 @@ pub mod std_msgs;
 pub mod tf2_msgs;
 
 use std::fmt::Write as _;
-use std::io::Cursor;
 
-use serde::{Deserialize, Serialize};
+use speedy::{LittleEndian, Readable, Writable};
 use thiserror::Error;
 
 use crate::time::Stamp;
 
 /// A message type as bags and connections name it.
-pub trait Message {
+pub trait Message: for<'a> Readable<'a, LittleEndian> + Writable<LittleEndian> {
     /// `package/Name`.
     const TYPE: &'static str;
     /// Checksum of the definition, as ROS computes it.
@@ -54,12 +53,11 @@ pub struct DecodeError {
 }
 
 /// Reads a message from its wire form. Lengths are checked against the bytes there are before memory is taken for them.
-pub fn decode<T: Message + for<'de> Deserialize<'de>>(bytes: &[u8]) -> Result<T, DecodeError> {
+pub fn decode<T: Message>(bytes: &[u8]) -> Result<T, DecodeError> {
     let error = |problem: String| DecodeError { message_type: T::TYPE, len: bytes.len(), problem };
-    let len = u32::try_from(bytes.len()).map_err(|e| error(e.to_string()))?;
-    let mut deserializer = roslibrust_serde_rosmsg::de::Deserializer::new(Cursor::new(bytes), len);
-    let message = T::deserialize(&mut deserializer).map_err(|e| error(e.to_string()))?;
-    if !deserializer.is_fully_read() {
+    let (message, length) = T::read_with_length_from_buffer(bytes);
+    let message = message.map_err(|e| error(e.to_string()))?;
+    if length < bytes.len() {
         return Err(error("there are bytes left over".into()));
     }
     Ok(message)
@@ -72,15 +70,12 @@ pub fn header_stamp(bytes: &[u8]) -> Option<Stamp> {
 }
 
 /// The wire form of a message.
-pub fn encode<T: Message + Serialize>(message: &T) -> Result<Vec<u8>, DecodeError> {
-    let error = |problem: String| DecodeError { message_type: T::TYPE, len: 0, problem };
-    let mut bytes = Vec::new();
-    message.serialize(&mut roslibrust_serde_rosmsg::ser::Serializer::new(&mut bytes)).map_err(|e| error(e.to_string()))?;
-    Ok(bytes)
+pub fn encode<T: Message>(message: &T) -> Result<Vec<u8>, DecodeError> {
+    message.write_to_vec().map_err(|e| DecodeError { message_type: T::TYPE, len: 0, problem: e.to_string() })
 }
 
 /// A ROS `time`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Readable, Writable)]
 #[allow(missing_docs)]
 pub struct Time {
     pub sec: u32,
@@ -101,7 +96,7 @@ impl From<Stamp> for Time {
 }
 
 /// A ROS `duration`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Readable, Writable)]
 #[allow(missing_docs)]
 pub struct Duration {
     pub sec: i32,

@@ -2,12 +2,12 @@
 
 #![allow(missing_docs)] // the fields are those of the definitions under msg/
 
-use serde::{Deserialize, Serialize};
+use speedy::{Readable, Writable};
 
 use super::Message;
 
 /// `nav_msgs/Odometry`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct Odometry {
     pub header: super::std_msgs::Header,
     pub child_frame_id: String,
@@ -32,7 +32,7 @@ impl Message for Odometry {
 }
 
 /// `nav_msgs/MapMetaData`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct MapMetaData {
     pub map_load_time: super::Time,
     pub resolution: f32,
@@ -42,7 +42,7 @@ pub struct MapMetaData {
 }
 
 /// `nav_msgs/OccupancyGrid`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct OccupancyGrid {
     pub header: super::std_msgs::Header,
     pub info: MapMetaData,

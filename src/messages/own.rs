@@ -2,12 +2,12 @@
 
 #![allow(missing_docs)] // the fields are those of the definitions under msg/
 
-use serde::{Deserialize, Serialize};
+use speedy::{Readable, Writable};
 
 use super::Message;
 
 /// `anytime_scan_matcher/Contract`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct Contract {
     pub header: super::std_msgs::Header,
     pub time_budget: super::Duration,
@@ -25,7 +25,7 @@ impl Message for Contract {
 }
 
 /// `anytime_scan_matcher/MatchReport`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct MatchReport {
     pub header: super::std_msgs::Header,
     pub outcome: u8,
@@ -73,7 +73,7 @@ impl Message for MatchReport {
 }
 
 /// `anytime_scan_matcher/FilterReport`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct FilterReport {
     pub header: super::std_msgs::Header,
     pub ok: bool,

@@ -2,12 +2,12 @@
 
 #![allow(missing_docs)] // the fields are those of the definitions under msg/
 
-use serde::{Deserialize, Serialize};
+use speedy::{Readable, Writable};
 
 use super::Message;
 
 /// `sensor_msgs/LaserScan`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct LaserScan {
     pub header: super::std_msgs::Header,
     pub angle_min: f32,
@@ -31,7 +31,7 @@ impl Message for LaserScan {
 }
 
 /// `sensor_msgs/Imu`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct Imu {
     pub header: super::std_msgs::Header,
     pub orientation: super::geometry_msgs::Quaternion,
@@ -54,7 +54,7 @@ impl Message for Imu {
 }
 
 /// `sensor_msgs/PointField`.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Readable, Writable)]
 pub struct PointField {
     pub name: String,
     pub offset: u32,
@@ -68,7 +68,7 @@ impl PointField {
 }
 
 /// `sensor_msgs/PointCloud2`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct PointCloud2 {
     pub header: super::std_msgs::Header,
     pub height: u32,

@@ -2,12 +2,12 @@
 
 #![allow(missing_docs)] // the fields are those of the definitions under msg/
 
-use serde::{Deserialize, Serialize};
+use speedy::{Readable, Writable};
 
 use super::Message;
 
 /// `std_msgs/Header`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct Header {
     pub seq: u32,
     pub stamp: super::Time,
@@ -15,7 +15,7 @@ pub struct Header {
 }
 
 /// `std_msgs/Empty`.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Readable, Writable)]
 pub struct Empty {}
 
 impl Message for Empty {
@@ -26,7 +26,7 @@ impl Message for Empty {
 }
 
 /// `std_msgs/Int32`.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Readable, Writable)]
 pub struct Int32 {
     pub data: i32,
 }

@@ -2,12 +2,12 @@
 
 #![allow(missing_docs)] // the fields are those of the definitions under msg/
 
-use serde::{Deserialize, Serialize};
+use speedy::{Readable, Writable};
 
 use super::Message;
 
 /// `tf2_msgs/TFMessage`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct TFMessage {
     pub transforms: Vec<super::geometry_msgs::TransformStamped>,
 }

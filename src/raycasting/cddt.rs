@@ -3,11 +3,10 @@
 //! For each of many directions the map is cut into strips along it, and each strip keeps the places at which a beam in that
 //! direction runs from free space into a wall, in order. The length of a beam is the way to the next such place in its strip.
 
-use rayon::prelude::*;
-
 use super::bits::WallBits;
 use super::{Fan, RayCaster, Viewpoint, sector};
 use crate::map::grid::OccupancyGrid;
+use crate::parallel;
 
 /// Directions of a full turn, unless others are wanted.
 const DIRECTIONS: u32 = 720;
@@ -64,10 +63,8 @@ impl Cddt {
         let surface = surface(grid, &walls);
         let size = [grid.width() as f32, grid.height() as f32];
         let units = LAST_PLACE / size[0].hypot(size[1]).max(1.0);
-        let parts: Vec<_> = (0..directions)
-            .into_par_iter()
-            .map(|index| Strips::new(direction(index, directions, size, fineness), &surface, units, fineness))
-            .collect();
+        let strips = |index| Strips::new(direction(index, directions, size, fineness), &surface, units, fineness);
+        let parts = parallel::map(0..directions, strips);
         let (mut directions, mut starts, mut blocks) = (Vec::new(), Vec::new(), Vec::new());
         for Strips { mut direction, starts: own, blocks: own_blocks } in parts {
             direction.first = starts.len() as u32;

@@ -2,14 +2,13 @@
 //!
 //! The answers are those of a [`Cddt`] with fine strips, for it is faster than to march every beam; it also answers where no robot is.
 
-use rayon::prelude::*;
-
 use super::cddt::Cddt;
 
 use super::{Fan, RayCaster, Viewpoint, sector};
 use crate::geometry::Pose2;
 use crate::map::grid::OccupancyGrid;
 use crate::map::indoors::indoor_cells;
+use crate::parallel;
 
 /// Directions of a full turn.
 const DIRECTIONS: u32 = 360;
@@ -47,7 +46,7 @@ impl Table {
         }
         let directions = DIRECTIONS as usize;
         let mut lengths = vec![NOTHING; listed.len() * directions];
-        lengths.par_chunks_mut(directions * CELLS).zip(listed.par_chunks(CELLS)).for_each(|(entries, cells)| {
+        parallel::map(lengths.chunks_mut(directions * CELLS).zip(listed.chunks(CELLS)), |(entries, cells)| {
             let middle =
                 |index: &usize| Pose2::new((index % grid.width()) as f64 + 0.5, (index / grid.width()) as f64 + 0.5, 0.0);
             let middles: Vec<Viewpoint> = cells.iter().map(|index| Viewpoint::new(&middle(index))).collect();

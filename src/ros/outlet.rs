@@ -2,7 +2,6 @@
 
 use rosrust::RawMessageDescription;
 use rosrust::api::Ros;
-use serde::Serialize;
 
 use super::NodeError;
 use super::master::Role;
@@ -12,7 +11,7 @@ use crate::messages::{Message, encode};
 /// A topic that messages of one type leave by.
 pub(super) struct Outlet<T>(Output<T>);
 
-impl<T: Message + Serialize> Outlet<T> {
+impl<T: Message> Outlet<T> {
     pub(super) fn new(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
         let description =
             RawMessageDescription { msg_definition: T::full_definition(), md5sum: T::MD5.into(), msg_type: T::TYPE.into() };

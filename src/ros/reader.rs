@@ -3,8 +3,6 @@
 use std::error::Error;
 use std::sync::Arc;
 
-use serde::Deserialize;
-
 use super::diagnostics::Monitor;
 use super::inlet::Letter;
 use super::log::{Log, Throttle};
@@ -31,7 +29,7 @@ impl Reader {
     }
 
     /// The message of a letter, if it is one. `subject`: what it is called where it is none.
-    pub(super) fn read<T: Message + for<'de> Deserialize<'de>>(&mut self, subject: &'static str, letter: &Letter) -> Option<T> {
+    pub(super) fn read<T: Message>(&mut self, subject: &'static str, letter: &Letter) -> Option<T> {
         decode(&letter.bytes).map_err(|error| self.refuse(subject, &letter.sender, &error)).ok()
     }
 

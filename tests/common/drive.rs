@@ -1,5 +1,4 @@
 //! A drive through a room, as a bag; and what was recorded of its matching.
-#![allow(dead_code)] // each test program uses some of it
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -25,9 +24,9 @@ use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
 use rosrust::RosMsg;
 use rosrust_msg::anytime_scan_matcher::MatchReport;
-use serde::Serialize;
+use speedy::{Readable, Writable};
 
-use crate::common::{Laser, room_range};
+use super::{Laser, room_range};
 
 /// The node's outputs, and what they are about.
 pub const TOPICS: [&str; 5] = ["/scan", "/scan_match_location", "/icp_state", "/icp_report", "/tf"];
@@ -215,7 +214,7 @@ impl Recording {
 }
 
 /// A scan that announces four thousand million ranges and has none.
-#[derive(Serialize)]
+#[derive(Readable, Writable)]
 pub struct EndlessScan {
     pub header: Header,
     pub numbers: [f32; 7],
@@ -235,7 +234,7 @@ impl Message for EndlessScan {
 }
 
 /// `std_msgs/String`.
-#[derive(Serialize)]
+#[derive(Readable, Writable)]
 pub struct Text {
     pub data: String,
 }

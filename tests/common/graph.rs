@@ -1,5 +1,4 @@
 //! A ROS graph of its own for each test: a master on a free port, and everything the test starts ended when it is over.
-#![allow(dead_code)] // each test program uses some of it
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -11,6 +10,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
+
+use super::skipped::skip;
 
 pub const PACKAGE: &str = env!("CARGO_MANIFEST_DIR");
 pub const NODE: &str = env!("CARGO_BIN_EXE_scan_matcher");
@@ -40,7 +41,7 @@ pub fn installed(program: &str) -> bool {
     let found = std::env::var_os("PATH").is_some_and(|path| std::env::split_paths(&path).any(|dir| dir.join(program).is_file()));
     if !found {
         assert!(std::env::var("CI").as_deref() != Ok("true"), "{program} is not installed, and this is CI");
-        eprintln!("SKIPPED: {program} is not installed; this test checks nothing");
+        skip(&format!("{program} is not installed"));
     }
     found
 }

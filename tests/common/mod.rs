@@ -1,5 +1,13 @@
 //! What several test programs share.
-#![allow(dead_code, unreachable_pub, clippy::unwrap_used, clippy::print_stderr)]
+#![allow(dead_code, unreachable_pub, clippy::unwrap_used, clippy::panic)]
+
+#[cfg(feature = "ros")]
+pub mod drive;
+#[cfg(feature = "ros")]
+pub mod graph;
+pub mod skipped;
+#[cfg(feature = "ros")]
+pub mod wire;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -14,11 +22,11 @@ use rand_pcg::Pcg64;
 
 /// A file of the real data that lies beside the checkout. Says loudly when it is not there.
 pub fn shared(path: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared").join(path);
-    if path.exists() {
-        return Some(path);
+    let place = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared").join(path);
+    if place.exists() {
+        return Some(place);
     }
-    eprintln!("SKIPPED: {} is not there; this test checks nothing", path.display());
+    skipped::skip(&format!("../shared/{path} is not there"));
     None
 }
 

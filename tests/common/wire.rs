@@ -1,14 +1,12 @@
 //! Nodes made of bytes: they can do what no client library would.
-#![allow(dead_code)] // each test program uses some of it
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::time::Duration;
 
 use anytime_scan_matcher::messages::{self, Message};
-use serde::{Deserialize, Serialize};
 
-use crate::graph::{Graph, PATIENCE, call, eventually};
+use super::graph::{Graph, PATIENCE, call, eventually};
 
 /// What the scan matcher is called.
 const NODE: &str = "/scan_matcher";
@@ -73,7 +71,7 @@ impl Publisher {
 }
 
 /// Publishes one message to so many subscribers, once all of them are linked.
-pub fn say<T: Message + Serialize>(graph: &Graph, topic: &'static str, message: &T, subscribers: usize) {
+pub fn say<T: Message>(graph: &Graph, topic: &'static str, message: &T, subscribers: usize) {
     let publisher = Publisher::new::<T>(graph, "/speaker", topic);
     let links: Vec<TcpStream> = (0..subscribers).map(|_| publisher.link()).collect();
     for mut link in links {
@@ -121,12 +119,12 @@ impl Listener {
         Self { stream }
     }
 
-    pub fn next<T: Message + for<'de> Deserialize<'de>>(&mut self) -> T {
+    pub fn next<T: Message>(&mut self) -> T {
         messages::decode(&self.next_bytes().unwrap()).unwrap()
     }
 
     /// The first message from now on that `is_it`.
-    pub fn find<T: Message + for<'de> Deserialize<'de>>(&mut self, is_it: impl Fn(&T) -> bool) -> T {
+    pub fn find<T: Message>(&mut self, is_it: impl Fn(&T) -> bool) -> T {
         loop {
             let message = self.next();
             if is_it(&message) {

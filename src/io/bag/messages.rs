@@ -3,8 +3,6 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 
-use serde::Deserialize;
-
 use crate::messages::{self, Message};
 use crate::time::Stamp;
 
@@ -31,7 +29,7 @@ pub struct BagMessage<'bag> {
 
 impl BagMessage<'_> {
     /// The message, if it is of type `T`.
-    pub fn decode<T: Message + for<'de> Deserialize<'de>>(&self) -> Result<T, BagError> {
+    pub fn decode<T: Message>(&self) -> Result<T, BagError> {
         self.bag.check_type::<T>(self.connection)?;
         messages::decode(&self.data).map_err(|source| BagError::Decode {
             path: self.bag.path().to_path_buf(),

@@ -5,8 +5,6 @@ use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
-
 use crate::messages::{self, Message};
 use crate::time::Stamp;
 
@@ -83,12 +81,12 @@ impl BagWriter {
     }
 
     /// Writes a message as received at `time`.
-    pub fn write<T: Message + Serialize>(&mut self, topic: &str, time: Stamp, message: &T) -> Result<(), BagError> {
+    pub fn write<T: Message>(&mut self, topic: &str, time: Stamp, message: &T) -> Result<(), BagError> {
         self.push(topic, false, time, message)
     }
 
     /// Writes a message of a latched topic (`/tf_static`, `/map`): players give it to late subscribers too.
-    pub fn write_latched<T: Message + Serialize>(&mut self, topic: &str, time: Stamp, message: &T) -> Result<(), BagError> {
+    pub fn write_latched<T: Message>(&mut self, topic: &str, time: Stamp, message: &T) -> Result<(), BagError> {
         self.push(topic, true, time, message)
     }
 
@@ -107,7 +105,7 @@ impl BagWriter {
         self.append(&header)
     }
 
-    fn push<T: Message + Serialize>(&mut self, topic: &str, latching: bool, time: Stamp, message: &T) -> Result<(), BagError> {
+    fn push<T: Message>(&mut self, topic: &str, latching: bool, time: Stamp, message: &T) -> Result<(), BagError> {
         let data = messages::encode(message).map_err(|e| self.unwritable(topic, e.to_string()))?;
         if data.len() > MAX_MESSAGE_BYTES {
             return Err(self.unwritable(topic, format!("a message of {} bytes is too large", data.len())));

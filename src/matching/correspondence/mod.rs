@@ -4,6 +4,7 @@
 //! [`Correspondence::search`]. The tests compare every search listed there with the brute force, `naive`.
 
 mod jump_table;
+#[cfg(feature = "cli")]
 mod kd_tree;
 mod naive;
 
@@ -49,6 +50,7 @@ crate::choices! {
         /// Jump tables (Censi 2008): exact, and few rays looked at.
         JumpTable = "jump_table",
         /// A k-d tree.
+        #[cfg(feature = "cli")]
         KdTree = "kd_tree",
         /// Not the nearest ray, but the surface that the reference laser saw in the point's direction.
         Projective = "projective",
@@ -66,6 +68,7 @@ impl Correspondence {
         match self {
             Self::Naive => Some(Box::new(naive::Naive)),
             Self::JumpTable => Some(Box::<jump_table::JumpTable>::default()),
+            #[cfg(feature = "cli")]
             Self::KdTree => Some(Box::<kd_tree::KdTreeSearch>::default()),
             Self::Projective => None,
         }

@@ -4,8 +4,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use serde::Deserialize;
-
 use super::convert::Placed;
 use super::publishers::Publishers;
 use super::subscriptions::Input;
@@ -213,7 +211,7 @@ impl Worker {
     }
 
     /// Hands a message on; before there is a map, nobody needs it.
-    fn tell<T: Message + for<'de> Deserialize<'de>>(
+    fn tell<T: Message>(
         &mut self,
         input: Input,
         letter: &Letter,

@@ -1,0 +1,110 @@
+//! More than there is time for, and clocks that cannot be trusted.
+
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::own::MatchReport;
+use anytime_scan_matcher::messages::{Message, Time};
+use speedy::{Readable, Writable};
+
+use super::bench::{Bench, send};
+use crate::common::drive::{self, MOUNT, PERIOD};
+use crate::common::graph::{PATIENCE, Process};
+use crate::common::wire::Publisher;
+
+/// Sends `count` scans, each so long after the one before. The report on the last one.
+fn send_scans(bench: &mut Bench, count: u32, period: Duration) -> MatchReport {
+    let start = Instant::now();
+    let mut last = bench.next_scan();
+    for number in 0..count {
+        send(&mut bench.scans, &last);
+        if number + 1 < count {
+            last = bench.next_scan();
+        }
+        std::thread::sleep((start + period * (number + 1)).saturating_duration_since(Instant::now()));
+    }
+    bench.reports.find(|report: &MatchReport| report.header.stamp == last.header.stamp)
+}
+
+/// The first `sent` scans are answered or counted. The number of an answer is how many there were.
+fn check_accounts(report: &MatchReport, sent: u32) {
+    eprintln!("{} of {sent} answered, {} dropped", report.header.seq, report.dropped);
+    assert_eq!(report.header.seq + report.dropped, sent);
+}
+
+fn interrupt(mut node: Process) {
+    node.signal("INT");
+    assert_eq!(node.exit_code(PATIENCE), Some(0), "{}", node.log());
+}
+
+#[test]
+fn of_a_burst_the_newest_is_answered_and_the_rest_is_counted() {
+    let Some(mut bench) = Bench::start(541) else { return };
+    bench.step();
+    let memory = bench.resources().memory;
+    let mut sent = 1;
+    for (count, hertz) in [(1000, 1e6), (200, 200.0), (1000, 1000.0), (1000, 1e6)] {
+        let report = send_scans(&mut bench, count, Duration::from_secs_f64(1.0 / hertz));
+        sent += count;
+        check_accounts(&report, sent);
+    }
+    let grown = bench.resources().memory.saturating_sub(memory);
+    assert!(grown < 8_000, "{grown} kB more");
+    interrupt(bench.node);
+}
+
+#[test]
+fn odometry_in_floods_and_far_too_late_does_no_harm() {
+    let Some(mut bench) = Bench::start(541) else { return };
+    let mut wheels = Publisher::new::<Odometry>(&bench.graph, "/wheels", "/odom").link();
+    let at_once = |from: f64, wheels: &mut TcpStream| {
+        (0..1000).for_each(|i| send(wheels, &drive::odometry(from + f64::from(i) * 0.001)));
+    };
+    at_once(0.0, &mut wheels);
+    let memory = bench.resources().memory;
+    for _ in 0..40 {
+        bench.step();
+    }
+    for second in 1..4 {
+        at_once(f64::from(second), &mut wheels);
+        (0..40).for_each(|_| bench.check_step());
+    }
+    for number in 80..160 {
+        send(&mut wheels, &drive::odometry(f64::from(number) * PERIOD)); // of two seconds ago
+        bench.check_step();
+    }
+    let grown = bench.resources().memory.saturating_sub(memory);
+    assert!(grown < 8_000, "{grown} kB more");
+    interrupt(bench.node);
+}
+
+/// `rosgraph_msgs/Clock`.
+#[derive(Readable, Writable)]
+struct ClockMessage {
+    clock: Time,
+}
+
+impl Message for ClockMessage {
+    const TYPE: &'static str = "rosgraph_msgs/Clock";
+    const MD5: &'static str = "a9c97c1d230cfc112e270351a944ee47";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[("rosgraph_msgs/Clock", "time clock\n")];
+}
+
+#[test]
+fn a_clock_that_jumps_and_stops_stops_nothing() {
+    let start = |graph: &crate::common::graph::Graph| {
+        graph.output("rosparam", &["set", "use_sim_time", "true"]);
+        graph.node(&[MOUNT])
+    };
+    let Some(mut bench) = Bench::start_with(181, start) else { return };
+    let mut clock = Publisher::new::<ClockMessage>(&bench.graph, "/clock_tower", "/clock").link();
+    bench.step();
+    for seconds in [0.0, 1e6, -1e6, 3.0] {
+        send(&mut clock, &ClockMessage { clock: drive::at(seconds).into() });
+        bench.check_step();
+    }
+    drop(clock);
+    bench.check_step();
+    interrupt(bench.node);
+}

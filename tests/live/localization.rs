@@ -1,0 +1,384 @@
+//! The particle filter on a live graph: maps by topic and by file, good and bad; updates by messages and by a timer.
+
+use std::collections::BTreeMap;
+use std::convert::Infallible;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anytime_scan_matcher::app::planar_pose;
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
+use anytime_scan_matcher::knobs::Seconds;
+use anytime_scan_matcher::map::grid::{Cell, OccupancyGrid};
+use anytime_scan_matcher::messages::geometry_msgs::{Point, PointStamped, PoseWithCovarianceStamped, TransformStamped};
+use anytime_scan_matcher::messages::nav_msgs::{self, MapMetaData, Odometry};
+use anytime_scan_matcher::messages::own::FilterReport;
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::messages::std_msgs::Header;
+use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
+use anytime_scan_matcher::simulation::scene::Scene;
+use anytime_scan_matcher::time::Stamp;
+use rosrust::RosMsg as _;
+use rosrust_msg::geometry_msgs::PoseArray;
+
+use crate::common::corridor;
+use crate::common::graph::{Graph, PATIENCE, Process, eventually};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_particle_filter");
+const TOPICS: [&str; 7] = ["/scan", "/odom", "/pf/pose/odom", "/pf/report", "/pf/viz/particles", "/pf/viz/fake_scan", "/tf"];
+
+/// A drive through the corridor as a bag.
+struct Drive {
+    bag: PathBuf,
+    start: Stamp,
+    truth: BTreeMap<Stamp, Pose2>,
+}
+
+impl Drive {
+    /// `extra` adds messages; it is told the time of the start.
+    fn write(folder: &Path, seconds: f64, extra: impl FnOnce(&mut BagWriter, Stamp)) -> Self {
+        let mut settings = Settings::default();
+        settings.drive.duration = Seconds(seconds);
+        settings.lidar.rate = 20.0;
+        let bag = folder.join("corridor.bag");
+        let mut writer = BagWriter::create(&bag, Compression::None).unwrap();
+        let (mut truth, mut start) = (BTreeMap::new(), None);
+        simulate::<Infallible>(&settings, &Scene::in_map(corridor(), 2).unwrap(), |time, message| {
+            start.get_or_insert(time);
+            match message {
+                SimulatedMessage::Mount(message) => writer.write_latched("/tf_static", time, &message).unwrap(),
+                SimulatedMessage::Odometry(message) => writer.write("/odom", time, &message).unwrap(),
+                SimulatedMessage::Scan(message) => writer.write("/scan", time, &message).unwrap(),
+                SimulatedMessage::Truth { stamp, map_from_base } => drop(truth.insert(stamp, map_from_base)),
+            }
+            Ok(())
+        })
+        .unwrap();
+        let start = start.unwrap();
+        extra(&mut writer, start);
+        writer.finish().unwrap();
+        Self { bag, start, truth }
+    }
+
+    /// The parameter that says where the drive begins.
+    fn initial_pose(&self) -> String {
+        let pose = self.truth.values().next().unwrap();
+        format!("_localization/initial_pose:=[{}, {}, {}]", pose.x, pose.y, pose.theta)
+    }
+
+    /// Where the robot is between two scans, too.
+    fn error(&self, stamp: Stamp, pose: &Pose2) -> Pose2 {
+        let before = self.truth.range(..=stamp).next_back();
+        let after = self.truth.range(stamp..).next();
+        let truth = match (before, after) {
+            (Some((a, before)), Some((b, after))) if a < b => {
+                before.interpolate(after, stamp.seconds_since(*a) / b.seconds_since(*a))
+            }
+            (before, after) => *before.or(after).unwrap().1,
+        };
+        truth.between(pose)
+    }
+}
+
+fn map_message(grid: &OccupancyGrid) -> nav_msgs::OccupancyGrid {
+    let occupancy = |cell: &Cell| match cell {
+        Cell::Free => 0,
+        Cell::Occupied => 100,
+        Cell::Unknown => -1,
+    };
+    #[allow(clippy::cast_possible_truncation)] // as the message has it
+    let info = MapMetaData {
+        resolution: grid.resolution() as f32,
+        width: grid.width() as u32,
+        height: grid.height() as u32,
+        origin: grid.pose_in_map(&Pose2::IDENTITY).into(),
+        ..MapMetaData::default()
+    };
+    let header = Header { frame_id: "map".into(), ..Header::default() };
+    nav_msgs::OccupancyGrid { header, info, data: grid.cells().iter().map(occupancy).collect() }
+}
+
+/// The corridor as a file of `map_server`.
+fn map_file(folder: &Path) -> String {
+    let grid = corridor();
+    let mut image = format!("P5 {} {} 255\n", grid.width(), grid.height()).into_bytes();
+    for row in grid.cells().chunks_exact(grid.width()).rev() {
+        image.extend(row.iter().map(|&cell| if cell == Cell::Free { 254_u8 } else { 0 }));
+    }
+    fs::write(folder.join("corridor.pgm"), image).unwrap();
+    let yaml = folder.join("corridor.yaml");
+    let fields =
+        "image: corridor.pgm\nresolution: 0.05\norigin: [-4, 2, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n";
+    fs::write(&yaml, fields).unwrap();
+    format!("_localization/map:={}", yaml.display())
+}
+
+/// What was recorded.
+#[derive(Default)]
+struct Heard {
+    poses: Vec<(Stamp, Pose2)>,
+    odometry: Vec<Odometry>,
+    scans: BTreeMap<Stamp, LaserScan>,
+    fake_scans: Vec<LaserScan>,
+    reports: Vec<FilterReport>,
+    particles: Vec<usize>,
+    transforms: Vec<TransformStamped>,
+}
+
+impl Heard {
+    fn read(path: &Path) -> Self {
+        let mut heard = Self::default();
+        for message in Bag::open(path).unwrap().messages(None) {
+            let message = message.unwrap();
+            match message.connection.topic.as_str() {
+                "/pf/pose/odom" => {
+                    let pose: Odometry = message.decode().unwrap();
+                    assert_eq!((pose.header.frame_id.as_str(), pose.child_frame_id.as_str()), ("map", "base_link"));
+                    assert!([0, 7, 35].iter().all(|&i| pose.pose.covariance[i] > 0.0 && pose.pose.covariance[i].is_finite()));
+                    heard.poses.push((pose.header.stamp.into(), planar_pose(&pose.pose.pose).unwrap()));
+                }
+                "/odom" => heard.odometry.push(message.decode().unwrap()),
+                "/scan" => {
+                    let scan: LaserScan = message.decode().unwrap();
+                    heard.scans.insert(scan.header.stamp.into(), scan);
+                }
+                "/pf/viz/fake_scan" => heard.fake_scans.push(message.decode().unwrap()),
+                "/pf/report" => heard.reports.push(message.decode().unwrap()),
+                "/pf/viz/particles" => heard.particles.push(PoseArray::decode(&message.data[..]).unwrap().poses.len()),
+                "/tf" => {
+                    let tf: TFMessage = message.decode().unwrap();
+                    heard.transforms.extend(tf.transforms.into_iter().filter(|t| t.child_frame_id == "odom"));
+                }
+                _ => {}
+            }
+        }
+        heard
+    }
+
+    /// Every pose is where the robot was, within `tolerance`, m.
+    fn check_poses(&self, drive: &Drive, tolerance: f64) {
+        for (stamp, pose) in &self.poses {
+            let error = drive.error(*stamp, pose);
+            assert!(error.distance() < tolerance && error.theta.abs() < 0.1, "at {stamp}: {error:?}");
+        }
+    }
+
+    /// No scan was evidence twice.
+    fn check_evidence(&self) {
+        let stamps: Vec<Stamp> = self.reports.iter().map(|report| report.header.stamp.into()).collect();
+        assert!(stamps.windows(2).all(|pair| pair[0] < pair[1]), "{stamps:?}");
+        assert!(self.reports.iter().all(|report| report.ok && report.reason.is_empty()));
+    }
+}
+
+fn start(graph: &Graph, arguments: &[&str]) -> Process {
+    let node = graph.spawn(PROGRAM, arguments);
+    node.expect_log("localizes by ");
+    node
+}
+
+#[test]
+fn the_robot_is_placed_on_a_map_that_comes_late() {
+    let Some(graph) = Graph::start() else { return };
+    let drive = Drive::write(graph.dir.path(), 12.0, |writer, start| {
+        let mut bad = map_message(&corridor());
+        bad.info.resolution = -1.0;
+        writer.write("/map", start.offset_by(0.4), &bad).unwrap();
+        bad.info.height = 5;
+        writer.write("/map", start.offset_by(1.6), &bad).unwrap();
+        // The second time it is nothing new.
+        for seconds in [2.0, 6.0] {
+            writer.write("/map", start.offset_by(seconds), &map_message(&corridor())).unwrap();
+        }
+    });
+    let node = start(&graph, &["__name:=pf"]);
+    let recorder = graph.record(&TOPICS);
+    let mut player = graph.start_playing(&drive.bag, &[]);
+    node.expect_log("there is no map yet");
+    node.expect_log("resolution is -1");
+    node.expect_log("cells do not make 400 x 5");
+    node.expect_log("has a map of 400 x 300 cells of 0.05 m");
+    assert!(graph.trigger("/pf/global_localization").contains("anywhere"));
+    assert_eq!(player.exit_code(6 * PATIENCE), Some(0));
+    let heard = Heard::read(&graph.finish_recording(recorder));
+    assert_eq!(node.log().matches("has a map").count(), 1, "{}", node.log());
+    heard.check_evidence();
+    // From anywhere in the corridor it takes longer than this to find it.
+    assert!(heard.reports.len() > 50 && heard.reports.iter().all(|report| report.particles >= 4000 && report.beams > 0));
+    assert!(heard.poses.iter().all(|(stamp, pose)| drive.error(*stamp, pose).distance() < 40.0));
+}
+
+#[test]
+fn poses_transforms_and_pictures_belong_to_the_scan() {
+    let Some(graph) = Graph::start() else { return };
+    let drive = Drive::write(graph.dir.path(), 6.0, |_, _| ());
+    let node = start(&graph, &[&drive.initial_pose(), &map_file(graph.dir.path())]);
+    node.expect_log("has a map of 400 x 300");
+    let recorder = graph.record(&TOPICS);
+    graph.play(&drive.bag, &[]);
+    let heard = Heard::read(&graph.finish_recording(recorder));
+    heard.check_evidence();
+    heard.check_poses(&drive, 0.15);
+    assert!(heard.reports.len() * 10 > drive.truth.len() * 8, "{} of {}", heard.reports.len(), drive.truth.len());
+    assert!(heard.poses.iter().all(|(stamp, _)| drive.truth.contains_key(stamp)), "stamps are the scans'");
+    assert_eq!(heard.transforms.len(), heard.poses.len());
+    assert!(heard.particles.iter().all(|&count| count == 1000) && !heard.particles.is_empty());
+    // map -> odom and odom -> base are map -> base.
+    let odometry: BTreeMap<Stamp, Pose2> =
+        heard.odometry.iter().map(|o| (o.header.stamp.into(), planar_pose(&o.pose.pose).unwrap())).collect();
+    let mut compared = 0;
+    for (transform, (stamp, pose)) in heard.transforms.iter().zip(&heard.poses) {
+        assert_eq!((Stamp::from(transform.header.stamp), transform.header.frame_id.as_str()), (*stamp, "map"));
+        if let Some(odom_from_base) = odometry.get(stamp) {
+            let t = &transform.transform;
+            let map_from_odom = Pose2::new(t.translation.x, t.translation.y, t.rotation.yaw());
+            let off = (map_from_odom * *odom_from_base).between(pose);
+            assert!(off.distance() < 1e-6 && off.theta.abs() < 1e-6, "{off:?}");
+            compared += 1;
+        }
+    }
+    assert!(compared > 50, "{compared} transforms compared");
+    for fake in &heard.fake_scans {
+        let Some(scan) = heard.scans.get(&fake.header.stamp.into()) else { continue }; // not heard by the recorder
+        let near = scan.ranges.iter().zip(&fake.ranges).filter(|(a, b)| (**a - **b).abs() < 0.3).count();
+        assert!(fake.ranges.len() == scan.ranges.len() && near * 10 > scan.ranges.len() * 8, "{near} of {}", scan.ranges.len());
+    }
+}
+
+#[test]
+fn a_timer_drives_the_updates_and_no_scan_is_evidence_twice() {
+    let Some(graph) = Graph::start() else { return };
+    let drive = Drive::write(graph.dir.path(), 6.0, |_, _| ());
+    let map = map_file(graph.dir.path());
+    for (period, least_poses, most_reports) in [("10ms", 200, 125), ("200ms", 20, 35)] {
+        let period = format!("_localization/update_period:={period}");
+        let mut node = start(&graph, &[&drive.initial_pose(), &map, &period]);
+        node.expect_log("has a map of 400 x 300");
+        let recorder = graph.record(&TOPICS);
+        graph.play(&drive.bag, &[]);
+        let heard = Heard::read(&graph.finish_recording(recorder));
+        heard.check_evidence();
+        heard.check_poses(&drive, 0.2);
+        let (poses, reports) = (heard.poses.len(), heard.reports.len());
+        assert!(poses >= least_poses && (15..=most_reports).contains(&reports), "{period}: {poses} poses, {reports} reports");
+        let stamps: Vec<Stamp> = heard.poses.iter().map(|(stamp, _)| *stamp).collect();
+        assert!(period.contains("200") == (heard.reports.last().unwrap().dropped > 20));
+        assert!(stamps.iter().all(|stamp| stamp.seconds_since(drive.start) >= 0.0));
+        node.signal("INT");
+        assert_eq!(node.exit_code(PATIENCE), Some(0));
+        graph.output("rosparam", &["delete", "/particle_filter"]);
+    }
+}
+
+#[test]
+fn bad_maps_and_bad_poses_are_told_and_nothing_dies() {
+    let Some(graph) = Graph::start() else { return };
+    let folder = graph.dir.path();
+    let fields = "resolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n";
+    map_file(folder);
+    for (name, text, said) in [
+        ("missing", format!("image: nowhere.png\n{fields}"), "nowhere.png"),
+        ("coarse", format!("image: corridor.pgm\n{fields}").replace("0.05", "-0.05"), "resolution is -0.05"),
+        ("thresholds", format!("image: corridor.pgm\n{fields}").replace("0.65", "0.1"), "less than occupied_thresh"),
+        (
+            "dark",
+            format!("image: corridor.pgm\n{fields}").replace("free_thresh: 0.196", "free_thresh: 0.001"),
+            "no cell of the map is free",
+        ),
+    ] {
+        let yaml = folder.join(format!("{name}.yaml"));
+        fs::write(&yaml, text).unwrap();
+        let mut node = start(&graph, &[&format!("_localization/map:={}", yaml.display())]);
+        node.expect_log(said);
+        assert!(node.is_running());
+        graph.output("rosparam", &["delete", "/particle_filter"]);
+    }
+    let drive = Drive::write(folder, 5.0, |writer, start| {
+        let pose = |seconds, frame: &str, x: f64| {
+            let header = Header { seq: 0, stamp: start.offset_by(seconds).into(), frame_id: frame.into() };
+            let mut message = PoseWithCovarianceStamped { header, ..PoseWithCovarianceStamped::default() };
+            message.pose.pose = Pose2::new(x, 5.0, 0.0).into();
+            message
+        };
+        for (seconds, frame, x) in [(0.2, "map", 1e6), (1.4, "odom", 0.0), (2.6, "map", f64::NAN)] {
+            writer.write("/initialpose", start.offset_by(seconds), &pose(seconds, frame, x)).unwrap();
+        }
+        let header = Header { seq: 0, stamp: start.into(), frame_id: "map".into() };
+        let point = PointStamped { header, point: Point { x: f64::INFINITY, y: 0.0, z: 0.0 } };
+        writer.write("/clicked_point", start.offset_by(2.0), &point).unwrap();
+        writer.write("/scan", start.offset_by(3.0), &LaserScan::default()).unwrap();
+        // It insists.
+        for seconds in (0..30).map(|i| 1.0 + 0.1 * f64::from(i)) {
+            let mut rival = TransformStamped { child_frame_id: "odom".into(), ..Default::default() };
+            rival.transform.rotation.w = 1.0;
+            writer.write("/tf", start.offset_by(seconds), &TFMessage { transforms: vec![rival] }).unwrap();
+        }
+    });
+    let mut node = start(&graph, &[&drive.initial_pose(), &map_file(folder), "_contract/time_budget:=10us"]);
+    node.expect_log("has a map of 400 x 300");
+    let recorder = graph.record(&TOPICS);
+    graph.play(&drive.bag, &[]);
+    for said in ["outside the map", "given in the frame 'odom', expected 'map'", "not finite", "malformed scan", "held back"] {
+        node.expect_log(said);
+    }
+    assert!(node.is_running());
+    let heard = Heard::read(&graph.finish_recording(recorder));
+    heard.check_poses(&drive, 0.3);
+    let own = heard.transforms.iter().filter(|t| t.header.frame_id == "map");
+    assert!(own.clone().count() > 20, "a rival that may give way itself is waited for");
+    assert!(own.clone().all(|t| Stamp::from(t.header.stamp).seconds_since(drive.start) < 3.8), "one parent must do");
+    let late = heard.reports.iter().filter(|report| !report.deadline_met).count();
+    assert!(late * 10 > heard.reports.len() * 9, "{late} of {}", heard.reports.len());
+    assert_eq!(heard.reports.iter().filter(|report| !report.ok).count(), 1, "the malformed one");
+}
+
+#[test]
+fn a_clicked_point_says_where_and_not_in_which_direction() {
+    let Some(graph) = Graph::start() else { return };
+    let drive = Drive::write(graph.dir.path(), 6.0, |writer, start| {
+        let pose = Pose2::new(-2.0, 9.0, 0.0);
+        let header = Header { seq: 0, stamp: start.into(), frame_id: "map".into() };
+        let point = PointStamped { header, point: Point { x: pose.x, y: pose.y, z: 0.0 } };
+        writer.write("/clicked_point", start.offset_by(3.0), &point).unwrap();
+    });
+    let at_click = drive.truth.range(drive.start.offset_by(3.0)..).next().unwrap().1;
+    let node = start(&graph, &[&drive.initial_pose(), &map_file(graph.dir.path())]);
+    node.expect_log("has a map of 400 x 300");
+    let recorder = graph.record(&TOPICS);
+    graph.play(&drive.bag, &[]);
+    let heard = Heard::read(&graph.finish_recording(recorder));
+    let clicked = Pose2::new(-2.0, 9.0, 0.0);
+    let near = |(stamp, pose): &&(Stamp, Pose2)| {
+        (3.0..3.3).contains(&stamp.seconds_since(drive.start)) && (pose.translation() - clicked.translation()).norm() < 2.0
+    };
+    assert!((at_click.translation() - clicked.translation()).norm() > 4.0, "choose another place: {at_click:?}");
+    assert!(heard.poses.iter().any(|pose| near(&pose)), "the robot is where the person says");
+}
+
+#[test]
+fn the_launch_file_hands_its_arguments_on() {
+    let Some(graph) = Graph::start() else { return };
+    let map = map_file(graph.dir.path()).replace("_localization/map", "map");
+    let arguments = [
+        "scan:=/front/scan",
+        "odom:=icp/odom",
+        &map,
+        "initial_pose:=[1, 3, 0]",
+        "particles:=500",
+        "update_period:=10ms",
+        "time_budget:=5ms",
+        "base_frame:=car",
+    ];
+    let mut launch = graph.launch("particle_filter.launch", &arguments);
+    launch.expect_log(
+        "localizes by /front/scan and /icp/odom to /pf/pose/odom (map -> car, also map -> odom on /tf), 500 particles, every 0.01 s, \
+         within 5ms",
+    );
+    launch.expect_log("has a map of 400 x 300");
+    launch.signal("INT");
+    assert!(launch.exit_code(PATIENCE).is_some());
+    let shown = graph.output("roslaunch", &["--nodes", "anytime_scan_matcher", "particle_filter.launch", "rviz:=true"]);
+    assert!(shown.contains("/particle_filter") && shown.contains("/rviz"), "{shown}");
+    assert!(eventually(|| !graph.master_state().contains("particle_filter")));
+}

@@ -1,0 +1,258 @@
+//! The matcher beside a racecar simulator with `racecar_simulator`'s face: one that publishes the truth, and teleports.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+use std::thread;
+use std::time::Duration;
+
+use anytime_scan_matcher::app::planar_pose;
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::messages::ackermann_msgs::{AckermannDrive, AckermannDriveStamped};
+use anytime_scan_matcher::messages::geometry_msgs::{PoseStamped, PoseWithCovarianceStamped, Twist, Vector3};
+use anytime_scan_matcher::messages::header_stamp;
+use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::time::Stamp;
+use rosrust::RosMsg as _;
+use rosrust_msg::anytime_scan_matcher::MatchReport;
+
+use crate::common::drive::pose_message;
+use crate::common::graph::{Graph, PACKAGE, PATIENCE, Process, eventually};
+use crate::common::skipped::skip;
+use crate::common::wire::{Listener, say};
+
+/// Where the simulator is told to put the car: far from where it drives at that time.
+const CARRIED_TO: [Pose2; 2] = [Pose2 { x: 0.0, y: 6.1, theta: 3.1 }, Pose2 { x: 11.4, y: 0.0, theta: 1.57 }];
+
+/// A recording of this size has scans in it, bytes.
+const RECORDED: u64 = 500_000;
+/// Over a longer time than this without scans, and without odometry, a matcher in a corridor cannot know how far the car went, s.
+const LONGEST_BLIND: f64 = 0.25;
+
+/// What was said of the car.
+#[derive(Default)]
+struct Drive {
+    truth: BTreeMap<Stamp, Pose2>,
+    found: BTreeMap<Stamp, Pose2>,
+    failed: BTreeSet<Stamp>,
+    parents: BTreeMap<String, BTreeSet<String>>,
+    scans: Vec<LaserScan>,
+}
+
+impl Drive {
+    fn read(bag: &Path) -> Self {
+        let mut drive = Self::default();
+        for message in Bag::open(bag).unwrap().messages(None) {
+            let message = message.unwrap();
+            match message.connection.topic.as_str() {
+                "/odom" => {
+                    let odometry: Odometry = message.decode().unwrap();
+                    drive.truth.insert(odometry.header.stamp.into(), planar_pose(&odometry.pose.pose).unwrap());
+                }
+                "/scan_match_location" => {
+                    let pose: PoseStamped = message.decode().unwrap();
+                    assert_eq!(pose.header.frame_id, "map");
+                    drive.found.insert(pose.header.stamp.into(), planar_pose(&pose.pose).unwrap());
+                }
+                "/icp_report" => {
+                    let report = MatchReport::decode(&message.data[..]).unwrap();
+                    if !report.ok {
+                        drive.failed.insert(Stamp::from_ros(report.header.stamp.sec, report.header.stamp.nsec));
+                    }
+                }
+                "/tf" => {
+                    for transform in message.decode::<TFMessage>().unwrap().transforms {
+                        drive.parents.entry(transform.child_frame_id).or_default().insert(transform.header.frame_id);
+                    }
+                }
+                "/scan" => drive.scans.push(message.decode().unwrap()),
+                _ => {}
+            }
+        }
+        drive
+    }
+
+    /// Stamps of the poses before which the car was carried off: it does not go that fast.
+    fn teleports(&self) -> Vec<Stamp> {
+        let pairs = self.truth.iter().zip(self.truth.iter().skip(1));
+        pairs.filter(|((_, a), (_, b))| a.between(b).distance() > 3.0).map(|(_, (stamp, _))| *stamp).collect()
+    }
+
+    /// The longest time without an answer, s.
+    fn longest_gap(&self) -> f64 {
+        let pairs = self.found.keys().zip(self.found.keys().skip(1));
+        pairs.map(|(a, b)| b.seconds_since(*a)).fold(0.0, f64::max)
+    }
+
+    /// Answers between two times with the truth of their stamps.
+    fn answers(&self, from: Stamp, to: Stamp) -> Vec<(Pose2, Pose2)> {
+        let answers: Vec<_> =
+            self.found.range(from..to).filter_map(|(stamp, pose)| Some((*pose, *self.truth.get(stamp)?))).collect();
+        assert!(answers.len() > 20, "{} answers from {from} to {to}", answers.len());
+        answers
+    }
+}
+
+/// How far the answers are off, at most, after the first one is put onto its truth if `aligned`.
+fn worst(answers: &[(Pose2, Pose2)], aligned: bool) -> f64 {
+    let (first_found, first_truth) = answers[0];
+    let offset = if aligned { first_truth * first_found.inverse() } else { Pose2::IDENTITY };
+    answers.iter().map(|(found, truth)| truth.between(&(offset * *found)).distance()).fold(0.0, f64::max)
+}
+
+fn wait(seconds: f64) {
+    thread::sleep(Duration::from_secs_f64(seconds));
+}
+
+/// Runs the launch file while the car drives by itself and is carried off twice; what was recorded.
+fn drive(graph: &Graph, use_odom: &str) -> Drive {
+    let launch: Process = graph
+        .launch("racecar_simulator.launch", &["simulator:=built_in", "autopilot:=true", "rate:=200", "scan_rate:=100", use_odom]);
+    launch.expect_log("simulates a racecar in corridor");
+    launch.expect_log("by tf");
+    let recorder = graph.record(&["/scan", "/odom", "/scan_match_location", "/icp_report", "/tf"]);
+    // It begins when its links have come about.
+    let recording = graph.dir.path().join("recorded.bag.active");
+    assert!(eventually(|| fs::metadata(&recording).is_ok_and(|file| file.len() > RECORDED)), "{}", recorder.log());
+    wait(4.0);
+    let mut told = PoseWithCovarianceStamped::default();
+    told.pose.pose = pose_message(CARRIED_TO[0]);
+    say(graph, "/initialpose", &told, 2); // simulator and matcher
+    wait(4.0);
+    say(graph, "/pose", &PoseStamped { pose: pose_message(CARRIED_TO[1]), ..PoseStamped::default() }, 1);
+    wait(3.0);
+    let drive = Drive::read(&graph.finish_recording(recorder));
+    assert!(!launch.log().contains("held back"), "it has no transform to hold back: {}", launch.log());
+    drive
+}
+
+#[test]
+fn poses_are_the_truth_beside_a_simulator_that_teleports() {
+    let Some(graph) = Graph::start() else { return };
+    for use_odom in ["use_odom:=true", "use_odom:=false"] {
+        let drive = drive(&graph, use_odom);
+        let gap = drive.longest_gap();
+        if use_odom == "use_odom:=false" && gap > LONGEST_BLIND {
+            skip(&format!("this machine was too busy for {gap:.2} s ({use_odom})"));
+            continue;
+        }
+        let [told, untold] = drive.teleports()[..] else { panic!("{:?}", drive.teleports()) };
+        let (start, end) = (*drive.found.keys().next().unwrap(), *drive.found.keys().last().unwrap());
+        // Nobody knows who hears of it first, the car or the matcher.
+        let settle = 1.5;
+        let before_answers = drive.answers(start, told.offset_by(-settle));
+        // The car drives before the matcher sees its first scan.
+        let (begun_apart, before) = (worst(&before_answers, false), worst(&before_answers, true));
+        let told_answers = drive.answers(told.offset_by(settle), untold);
+        // Between the one hearing of it and the other, the car drives on.
+        let (heard_apart, after_told) = (worst(&told_answers, false), worst(&told_answers, true));
+        let after_untold = worst(&drive.answers(untold.offset_by(settle), end), true);
+        let failed =
+            drive.failed.range(start..told.offset_by(-settle)).count() + drive.failed.range(untold.offset_by(settle)..).count();
+        eprintln!(
+            "{use_odom}: off by {:.1} mm, {:.1} mm after /initialpose ({:.1} mm by when it was heard), {:.1} mm after /pose, {failed} failed, at \
+             most {gap:.2} s without an answer",
+            1e3 * before,
+            1e3 * after_told,
+            1e3 * heard_apart,
+            1e3 * after_untold
+        );
+        assert!(
+            before < 0.05 && begun_apart < 5.0 && after_told < 0.05 && heard_apart < 5.0 && after_untold < 0.05,
+            "{use_odom}"
+        );
+        assert_eq!(failed, 0);
+        let parent = |child: &str| drive.parents[child].iter().map(String::as_str).collect::<Vec<_>>();
+        assert_eq!((parent("base_link"), parent("laser"), parent("icp_odom")), (vec!["map"], vec!["base_link"], vec!["map"]));
+        assert_eq!(drive.parents.len(), 3);
+        let scan = &drive.scans[0];
+        assert_eq!((scan.ranges.len(), scan.scan_time.to_bits(), scan.time_increment.to_bits()), (1080, 0, 0));
+    }
+}
+
+/// A car that nobody drives stands still; one that is told to goes, by either topic.
+#[test]
+fn the_simulator_obeys_drive_and_cmd_vel() {
+    let Some(graph) = Graph::start() else { return };
+    let mut simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &["_world:=room", "_rate:=100", "_scan_rate:=20"]);
+    simulator.expect_log("simulates a racecar in room");
+    let recorder = graph.record(&["/odom"]);
+    let forward = Twist { linear: Vector3 { x: 0.5, ..Vector3::default() }, angular: Vector3 { z: 0.3, ..Vector3::default() } };
+    wait(1.0);
+    say(&graph, "/cmd_vel", &forward, 1);
+    wait(2.0);
+    let backward = AckermannDrive { speed: -0.4, steering_angle: 0.2, ..AckermannDrive::default() };
+    say(&graph, "/drive", &AckermannDriveStamped { drive: backward, ..AckermannDriveStamped::default() }, 1);
+    wait(2.0);
+    say(&graph, "/cmd_vel", &Twist::default(), 1);
+    wait(1.0);
+    let truth: Vec<Pose2> = Drive::read(&graph.finish_recording(recorder)).truth.into_values().collect();
+    let (first, last) = (truth[0], truth[truth.len() - 1]);
+    let steps: Vec<Pose2> = truth.iter().zip(truth.iter().skip(1)).map(|(a, b)| a.between(b)).collect();
+    let standing = |steps: &[Pose2]| steps.iter().all(|step| step.distance() < 1e-12);
+    assert!(
+        standing(&steps[..20]) && standing(&steps[steps.len() - 20..]),
+        "at rest before the first command, and after the last"
+    );
+    let turn_per_metre = |forwards: bool| {
+        let moving = steps.iter().filter(|step| if forwards { step.x > 1e-4 } else { step.x < -1e-4 });
+        let (way, turn) = moving.fold((0.0, 0.0), |(way, turn), step| (way + step.x, turn + step.theta));
+        assert!(way.abs() > 0.3, "{way} m, from {first:?} to {last:?}");
+        turn / way
+    };
+    assert!((turn_per_metre(true) - 0.6).abs() < 0.05, "{}", turn_per_metre(true));
+    assert!((turn_per_metre(false) - 0.2_f64.tan() / 0.3302).abs() < 0.05, "{}", turn_per_metre(false));
+    simulator.signal("INT");
+    assert_eq!(simulator.exit_code(Duration::from_secs(2)), Some(0));
+    for (argument, remedy) in [("_world:=nowhere.yaml", "nowhere.yaml"), ("_scan_beam:=3", "did you mean 'scan_beams'?")] {
+        let mut simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &[argument]);
+        assert_eq!(simulator.exit_code(PATIENCE), Some(1), "{argument}");
+        assert!(simulator.log().contains(remedy), "{}", simulator.log());
+        graph.output("rosparam", &["delete", "/racecar_sim"]);
+    }
+}
+
+/// F1TENTH's simulator is not packaged: a package of its name shows that the launch file starts what it finds there.
+#[test]
+fn the_launch_file_starts_f1tenths_simulator_where_there_is_one() {
+    let Some(graph) = Graph::without_master() else { return };
+    let package = graph.dir.path().join("racecar_simulator");
+    fs::create_dir_all(package.join("launch")).unwrap();
+    fs::write(package.join("package.xml"), "<package><name>racecar_simulator</name></package>").unwrap();
+    let launch = r#"<launch><node pkg="racecar_simulator" type="simulator" name="racecar_simulator"/></launch>"#;
+    fs::write(package.join("launch/simulator.launch"), launch).unwrap();
+    let packages = format!("{}:{PACKAGE}:/usr/share", graph.dir.path().display());
+    let mut roslaunch = graph.command("roslaunch");
+    roslaunch.env("ROS_PACKAGE_PATH", packages).args(["--nodes", "anytime_scan_matcher", "racecar_simulator.launch"]);
+    let output = roslaunch.output().unwrap();
+    let nodes = String::from_utf8(output.stdout).unwrap();
+    let mut nodes: Vec<&str> = nodes.split_whitespace().collect();
+    nodes.sort_unstable();
+    assert_eq!(nodes, ["/racecar_simulator", "/scan_matcher"], "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// As fast as `racecar_simulator`: 1000 Hz on a quiet machine. A quarter is asked of a busy one.
+#[test]
+fn scans_and_odometry_come_a_thousand_times_a_second() {
+    const MOMENT: f64 = 5.0;
+    let Some(graph) = Graph::start() else { return };
+    let simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &["_autopilot:=true"]);
+    simulator.expect_log("simulates a racecar in corridor");
+    let rate = |topic: &str| {
+        let mut listener = Listener::of(&graph, "/racecar_sim", topic);
+        thread::spawn(move || {
+            let mut next = || header_stamp(&listener.next_bytes().unwrap()).unwrap();
+            let (first, mut seconds, mut count) = (next(), 0.0, 0.0);
+            while seconds < MOMENT {
+                (seconds, count) = (next().seconds_since(first), count + 1.0);
+            }
+            count / seconds
+        })
+    };
+    let [scans, odometry] = ["/scan", "/odom"].map(rate).map(|rate| rate.join().unwrap());
+    eprintln!("{scans:.1} scans and {odometry:.1} poses a second");
+    assert!(scans > 250.0 && odometry > 250.0, "{scans:.1} {odometry:.1}");
+}

@@ -1,0 +1,438 @@
+//! The application against everything a robot may send it.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::common::{Laser, room_range};
+use anytime_scan_matcher::anytime::clock::VirtualClock;
+use anytime_scan_matcher::app::{App, Estimate, InputError, MountSource};
+use anytime_scan_matcher::config::Config;
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::matching::StopReason;
+use anytime_scan_matcher::messages::geometry_msgs::{
+    PoseWithCovarianceStamped, Quaternion, Transform, TransformStamped, Twist, Vector3,
+};
+use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::own::Contract;
+use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan};
+use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::odometry::Outcome;
+use anytime_scan_matcher::scan::{ScanConverter, ScanError};
+use anytime_scan_matcher::time::Stamp;
+
+const START: f64 = 1000.0;
+
+fn app(assignments: &[&str]) -> App {
+    let mut config = Config::default();
+    for assignment in assignments {
+        config.set_assignment(assignment).unwrap();
+    }
+    App::new(&config, Arc::new(VirtualClock::new(Duration::from_micros(10)))).unwrap()
+}
+
+/// A scan of the room from `laser_pose`, without noise.
+fn scan_at(seconds: f64, laser_pose: Pose2) -> LaserScan {
+    Laser::with_field_of_view(270.0, 361).message(Stamp::from_seconds(START + seconds), laser_pose)
+}
+
+fn odometry_at(seconds: f64, pose: Pose2) -> Odometry {
+    let mut message = Odometry::default();
+    message.header.stamp = Stamp::from_seconds(START + seconds).into();
+    message.pose.pose = pose.into();
+    message
+}
+
+fn answer(app: &mut App, message: &LaserScan) -> Estimate {
+    let mut estimate = app.on_scan(message, Duration::ZERO);
+    app.conclude(&mut estimate);
+    estimate
+}
+
+/// A slow turn through the room, seen from its start.
+fn way(seconds: f64) -> Pose2 {
+    Pose2::new(0.4 * seconds, 0.2 * seconds, 0.3 * seconds)
+}
+
+fn assert_near(found: Pose2, expected: Pose2, tolerance: f64) {
+    let difference = expected.between(&found);
+    assert!(difference.distance() < tolerance && difference.theta.abs() < tolerance, "{found:?}, expected {expected:?}");
+}
+
+fn reason(estimate: &Estimate) -> &str {
+    match &estimate.registration.outcome {
+        Outcome::Predicted(reason) => reason,
+        other => panic!("{other:?} is no prediction"),
+    }
+}
+
+#[test]
+fn scans_alone_give_the_way() {
+    let mut app = app(&["odometry.initial_pose=[1, 2, 0.5]"]);
+    let start = Pose2::new(1.0, 2.0, 0.5);
+    for i in 0..40 {
+        let seconds = f64::from(i) * 0.05;
+        let estimate = answer(&mut app, &scan_at(seconds, way(seconds)));
+        assert!(estimate.registration.outcome.is_ok(), "{i}: {:?}", estimate.registration.outcome);
+        assert_near(estimate.registration.odom_from_base, start * way(seconds), 0.01);
+        assert_eq!(Stamp::from_seconds(START + seconds), estimate.stamp);
+        if i > 2 {
+            let twist = estimate.registration.twist;
+            assert!((twist.omega - 0.3).abs() < 0.05 && twist.vx.hypot(twist.vy) < 0.6, "{twist:?}");
+        }
+    }
+    assert!(app.odometry_counters().keyframes > 1);
+}
+
+#[test]
+fn the_lasers_place_on_the_robot_counts() {
+    let mount = Pose2::new(0.3, -0.1, 2.8);
+    let mut by_parameter = app(&["odometry.laser_in_base=[0.3, -0.1, 2.8]"]);
+    let mut by_transforms = app(&[]);
+    let mut transform =
+        TransformStamped { child_frame_id: "/laser".into(), transform: mount.into(), ..TransformStamped::default() };
+    transform.header.frame_id = "base_link".into();
+    by_transforms.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
+    for i in 0..20 {
+        let seconds = f64::from(i) * 0.05;
+        for app in [&mut by_parameter, &mut by_transforms] {
+            let estimate = answer(app, &scan_at(seconds, way(seconds) * mount));
+            assert_near(estimate.registration.odom_from_base, way(seconds), 0.01);
+        }
+    }
+    assert_eq!(by_parameter.mount().1, MountSource::Parameter);
+    assert_eq!(by_transforms.mount().1, MountSource::Transforms);
+}
+
+#[test]
+fn a_laser_on_its_head_sees_the_same() {
+    let mut app = app(&[]);
+    let upside_down = Transform { rotation: Quaternion { x: 1.0, y: 0.0, z: 0.0, w: 0.0 }, ..Transform::default() };
+    let mut transform =
+        TransformStamped { child_frame_id: "laser".into(), transform: upside_down, ..TransformStamped::default() };
+    transform.header.frame_id = "base_link".into();
+    app.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
+    for i in 0..20 {
+        let seconds = f64::from(i) * 0.05;
+        let mut message = scan_at(seconds, way(seconds));
+        message.ranges.reverse();
+        assert_near(answer(&mut app, &message).registration.odom_from_base, way(seconds), 0.01);
+    }
+    assert!(app.mount().0.upside_down);
+}
+
+#[test]
+fn a_scan_that_matches_nothing_is_answered_with_the_prediction_and_does_not_freeze_the_keyframe() {
+    let mut app = app(&[]);
+    for i in 0..10 {
+        let seconds = f64::from(i) * 0.1;
+        app.on_odometry(&odometry_at(seconds, way(seconds))).unwrap();
+        // From the sixth scan on the room is another one.
+        let jump = if i < 5 { Pose2::IDENTITY } else { Pose2::new(-2.5, -1.5, 1.5) };
+        let estimate = answer(&mut app, &scan_at(seconds, jump * way(seconds)));
+        assert_near(estimate.registration.odom_from_base, way(seconds), 0.02);
+        assert_eq!(estimate.registration.outcome.is_ok(), i != 5, "{i}: {:?}", estimate.registration.outcome);
+        if i == 5 {
+            assert!(
+                reason(&estimate).contains("too few correspondences") || reason(&estimate).contains("corrects"),
+                "{}",
+                reason(&estimate)
+            );
+            assert!(estimate.registration.estimated_error.translation > 0.01);
+        }
+    }
+    assert_eq!(app.odometry_counters().predicted, 1);
+}
+
+#[test]
+fn odometry_is_interpolated_extrapolated_and_done_without() {
+    let fast = |seconds: f64| Pose2::new(2.0 * seconds - 1.0, 0.0, 0.0);
+    let guess_error = |stamps: &[f64]| {
+        // One step of the classic kind shows where it started.
+        let mut app = app(&["matching.correspondence=jump_table", "matching.max_iterations=1"]);
+        for &seconds in stamps {
+            app.on_odometry(&odometry_at(seconds, fast(seconds))).unwrap();
+        }
+        answer(&mut app, &scan_at(0.0, fast(0.0)));
+        let estimate = answer(&mut app, &scan_at(0.3, fast(0.3)));
+        fast(0.0).between(&fast(0.3)).between(&estimate.registration.odom_from_base).distance()
+    };
+    assert!(guess_error(&[0.0, 0.1, 0.2, 0.4]) < 0.01, "interpolated");
+    assert!(guess_error(&[-0.1, 0.0, 0.1]) < 0.01, "extrapolated");
+    assert!(guess_error(&[]) > 0.05, "without odometry a first step of 0.6 m is no guess");
+}
+
+/// A robot at rest that turns all of a sudden.
+fn turn_at_once(seconds: f64) -> Pose2 {
+    Pose2::new(0.0, 0.0, if seconds < 0.1 { 0.0 } else { 0.35 })
+}
+
+fn imu_at(seconds: f64) -> Imu {
+    let mut message = Imu::default();
+    message.header.stamp = Stamp::from_seconds(START + seconds).into();
+    message.orientation = Quaternion::from_yaw(2.0 + turn_at_once(seconds).theta);
+    message
+}
+
+#[test]
+fn an_imu_foresees_turns() {
+    let error_of = |with_imu: bool| {
+        // One step of the classic kind shows where it started.
+        let mut app = app(&["matching.correspondence=jump_table", "matching.max_iterations=1"]);
+        for seconds in [0.0, 0.05, 0.1, 0.2] {
+            if with_imu {
+                app.on_imu(&imu_at(seconds)).unwrap();
+            }
+        }
+        answer(&mut app, &scan_at(0.0, turn_at_once(0.0)));
+        let registration = answer(&mut app, &scan_at(0.15, turn_at_once(0.15))).registration;
+        ((registration.odom_from_base.theta - 0.35).abs(), registration.predicted_error.rotation)
+    };
+    let ((with, told), (without, feared)) = (error_of(true), error_of(false));
+    assert!(with < 0.005 && without > 0.02, "{with} {without}");
+    assert!(told < 0.5 * feared, "{told} {feared}");
+}
+
+#[test]
+fn an_imu_on_its_head_turns_the_other_way_and_one_that_says_nothing_is_let_pass() {
+    let mut app = app(&["matching.correspondence=jump_table", "matching.max_iterations=1"]);
+    let mut transform = TransformStamped { child_frame_id: "imu".into(), ..TransformStamped::default() };
+    transform.header.frame_id = "base_link".into();
+    transform.transform.rotation.x = 1.0;
+    app.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
+    for i in 0..=20 {
+        let mut message = imu_at(f64::from(i) * 0.01);
+        message.orientation = Quaternion::default();
+        message.header.frame_id = "imu".into();
+        message.angular_velocity.z = -3.5;
+        app.on_imu(&message).unwrap();
+        app.on_imu(&Imu { header: message.header, ..Imu::default() }).unwrap();
+    }
+    answer(&mut app, &scan_at(0.0, Pose2::IDENTITY));
+    let registration = answer(&mut app, &scan_at(0.1, Pose2::new(0.0, 0.0, 0.35))).registration;
+    assert!((registration.odom_from_base.theta - 0.35).abs() < 0.005, "{registration:?}");
+    let mut spoilt = imu_at(0.3);
+    spoilt.angular_velocity.x = f64::INFINITY;
+    assert_eq!(app.on_imu(&spoilt), Err(InputError::VelocityNotFinite));
+    assert_eq!(app.counters().refused_messages, 1);
+}
+
+#[test]
+fn other_nodes_transforms_and_velocities_predict() {
+    let fast = |seconds: f64| Pose2::new(2.0 * seconds - 1.0, 0.0, 0.0);
+    let guess_error = |prepare: &dyn Fn(&mut App)| {
+        let settings = ["matching.correspondence=jump_table", "matching.max_iterations=1", "prediction_frame=wheels"];
+        let mut app = app(&settings);
+        answer(&mut app, &scan_at(0.0, fast(0.0)));
+        prepare(&mut app);
+        let estimate = answer(&mut app, &scan_at(0.3, fast(0.3)));
+        fast(0.0).between(&fast(0.3)).between(&estimate.registration.odom_from_base).distance()
+    };
+    let stamped = |seconds: f64, parent: &str, child: &str, pose: Pose2| {
+        let mut transform =
+            TransformStamped { child_frame_id: child.into(), transform: pose.into(), ..TransformStamped::default() };
+        transform.header.frame_id = parent.into();
+        transform.header.stamp = Stamp::from_seconds(START + seconds).into();
+        TFMessage { transforms: vec![transform] }
+    };
+    let by_transforms = |app: &mut App| {
+        app.on_transforms(&stamped(0.0, "footprint", "base_link", Pose2::new(0.1, 0.0, 0.0))).unwrap();
+        for i in 0..5 {
+            let seconds = f64::from(i) * 0.1;
+            app.on_transforms(&stamped(seconds, "/wheels", "/footprint", fast(seconds))).unwrap();
+        }
+    };
+    let by_velocity =
+        |app: &mut App| app.on_velocity(&Twist { linear: Vector3 { x: 2.0, ..Vector3::default() }, ..Twist::default() }).unwrap();
+    assert!(guess_error(&by_transforms) < 0.01 && guess_error(&by_velocity) < 0.01);
+    assert!(guess_error(&|_| ()) > 0.05, "without either a first step of 0.6 m is no guess");
+}
+
+#[test]
+fn scans_wait_for_odometry_only_while_it_comes() {
+    let mut app = app(&[]);
+    let stamp = |seconds: f64| Stamp::from_seconds(START + seconds);
+    assert_eq!(app.wait_for_odometry(stamp(0.0)), None, "there is none");
+    answer(&mut app, &scan_at(0.0, way(0.0)));
+    app.on_odometry(&odometry_at(0.0, way(0.0))).unwrap();
+    assert_eq!(app.wait_for_odometry(stamp(0.04)), None, "near enough to extrapolate");
+    assert_eq!(app.wait_for_odometry(stamp(0.2)), Some(Duration::from_millis(300)));
+    app.on_contract(&contract(0, 10_000_000)).unwrap();
+    assert_eq!(app.wait_for_odometry(stamp(0.2)), Some(Duration::from_millis(5)), "never beyond the budget");
+    answer(&mut app, &scan_at(0.2, way(0.2)));
+    assert_eq!(app.wait_for_odometry(stamp(0.4)), None, "waited in vain");
+    app.on_odometry(&odometry_at(0.2, way(0.2))).unwrap();
+    assert!(app.wait_for_odometry(stamp(0.4)).is_some());
+}
+
+fn contract(sec: i32, nsec: i32) -> Contract {
+    Contract { time_budget: anytime_scan_matcher::messages::Duration { sec, nsec }, ..Contract::default() }
+}
+
+#[test]
+fn contracts_hold_from_the_next_scan_on_and_bad_ones_are_refused() {
+    // With bounds of zero it converges only when it goes round in circles.
+    let mut app = app(&["matching.epsilon_translation=0", "matching.epsilon_rotation=0"]);
+    answer(&mut app, &scan_at(0.0, way(0.0)));
+    app.on_contract(&contract(0, 25_000)).unwrap();
+    let estimate = answer(&mut app, &scan_at(0.1, way(0.1)));
+    assert_eq!(estimate.contract.time_budget, Some(Duration::from_micros(25)));
+    assert_eq!(estimate.registration.refinement.unwrap().stop_reason, StopReason::Budget);
+    assert!(!estimate.deadline_met(), "the clock moves 10 us a reading: {:?}", estimate.elapsed);
+    assert!(matches!(app.on_contract(&contract(-1, 0)), Err(InputError::Contract(_))));
+    assert_eq!(app.contract().time_budget, Some(Duration::from_micros(25)));
+    app.on_contract(&Contract { translation_error_bound: 1.0, ..contract(0, 0) }).unwrap();
+    answer(&mut app, &scan_at(0.15, way(0.15)));
+    let estimate = answer(&mut app, &scan_at(0.2, way(0.2)));
+    assert_eq!(estimate.registration.refinement.unwrap().stop_reason, StopReason::ErrorBound);
+    // A microsecond is over before anything can be done: still an answer, said to be a prediction.
+    app.on_contract(&contract(0, 1000)).unwrap();
+    let estimate = answer(&mut app, &scan_at(0.25, way(0.25)));
+    assert!(reason(&estimate).contains("time budget"), "{}", reason(&estimate));
+    assert_eq!(app.counters().deadline_misses, 2);
+}
+
+#[test]
+fn stamps_may_repeat_go_back_and_leave_gaps() {
+    let mut app = app(&[]);
+    for i in 0..5 {
+        answer(&mut app, &scan_at(2.0 + f64::from(i) * 0.1, way(f64::from(i) * 0.1)));
+    }
+    let before = answer(&mut app, &scan_at(2.5, way(0.5)));
+    let again = answer(&mut app, &scan_at(2.5, way(0.6)));
+    assert!(reason(&again).contains("same answer"));
+    assert_eq!(again.registration.odom_from_base, before.registration.odom_from_base);
+    let late = answer(&mut app, &scan_at(2.3, way(0.3)));
+    assert!(reason(&late).contains("out of order"));
+    // After a gap the match goes on from where it was.
+    let later = answer(&mut app, &scan_at(7.0, way(0.6)));
+    assert!(later.registration.outcome.is_ok());
+    assert_near(later.registration.odom_from_base, way(0.6), 0.02);
+    // A bag that starts again is a new run.
+    let new_run = answer(&mut app, &scan_at(0.0, way(3.0)));
+    assert_eq!(new_run.registration.outcome, Outcome::First);
+    assert_eq!(new_run.registration.odom_from_base, Pose2::IDENTITY);
+    let counters = app.odometry_counters();
+    assert_eq!((counters.duplicate_scans, counters.out_of_order_scans, counters.time_jumps), (1, 1, 1));
+    assert_eq!(app.counters().scans, 10);
+}
+
+#[test]
+fn poses_that_are_no_poses_are_refused() {
+    let mut app = app(&[]);
+    let mut nan = odometry_at(0.0, way(0.0));
+    nan.pose.pose.position.x = f64::NAN;
+    assert_eq!(app.on_odometry(&nan), Err(InputError::PoseNotFinite));
+    let mut zero = odometry_at(0.0, way(0.0));
+    zero.pose.pose.orientation = Quaternion::default();
+    assert!(matches!(app.on_odometry(&zero), Err(InputError::QuaternionNotNormalized { .. })));
+    let mut initial = PoseWithCovarianceStamped::default();
+    initial.pose.pose.orientation.w = f64::INFINITY;
+    assert_eq!(app.on_initial_pose(&initial), Err(InputError::PoseNotFinite));
+    let transform = TransformStamped { child_frame_id: "laser".into(), ..TransformStamped::default() };
+    assert_eq!(app.on_transforms(&TFMessage { transforms: vec![transform] }), Err(InputError::BadTransforms { count: 1 }));
+    assert_eq!(app.counters().refused_messages, 4);
+    // Nothing of that is left behind.
+    let mut nan_twist = odometry_at(0.0, way(0.0));
+    nan_twist.twist.twist.linear.x = f64::NAN;
+    app.on_odometry(&nan_twist).unwrap();
+    for i in 0..5 {
+        let seconds = f64::from(i) * 0.1;
+        let estimate = answer(&mut app, &scan_at(seconds, way(seconds)));
+        assert_near(estimate.registration.odom_from_base, way(seconds), 0.01);
+    }
+}
+
+#[test]
+fn an_initial_pose_and_a_reset_start_again() {
+    let mut app = app(&[]);
+    for i in 0..5 {
+        answer(&mut app, &scan_at(f64::from(i) * 0.1, way(f64::from(i) * 0.1)));
+    }
+    let mut initial = PoseWithCovarianceStamped::default();
+    initial.pose.pose = Pose2::new(5.0, 6.0, 1.0).into();
+    app.on_initial_pose(&initial).unwrap();
+    let estimate = answer(&mut app, &scan_at(0.6, way(0.6)));
+    assert_eq!(estimate.registration.outcome, Outcome::First);
+    assert_near(estimate.registration.odom_from_base, Pose2::new(5.0, 6.0, 1.0), 1e-9);
+    app.reset();
+    let estimate = answer(&mut app, &scan_at(0.7, way(0.7)));
+    assert_eq!(estimate.registration.odom_from_base, Pose2::IDENTITY);
+}
+
+/// Makes a good scan a bad one.
+type Spoil = fn(&mut LaserScan);
+
+#[test]
+fn malformed_scans_are_said_to_be_and_answered() {
+    let mut app = app(&[]);
+    for i in 0..3 {
+        answer(&mut app, &scan_at(f64::from(i) * 0.1, way(f64::from(i) * 0.1)));
+    }
+    let spoils: [(&str, Spoil); 11] = [
+        ("angle_increment is 0", |s| s.angle_increment = 0.0),
+        ("angle_min is NaN", |s| s.angle_min = f32::NAN),
+        ("range_min is inf", |s| s.range_min = f32::INFINITY),
+        ("0 ranges", |s| s.ranges.clear()),
+        ("5 ranges", |s| s.ranges.truncate(5)),
+        ("1000000 ranges", |s| s.ranges.resize(1_000_000, 1.0)),
+        ("300 ranges, but angle_min", |s| s.ranges.truncate(300)),
+        ("361 ranges but 7 intensities", |s| s.intensities = vec![1.0; 7]),
+        ("more than a full turn", |s| {
+            s.angle_increment = 0.1;
+            s.angle_max = s.angle_min + 36.0;
+        }),
+        ("leave no range valid", |s| s.range_max = 0.01),
+        ("0 of 361 rays", |s| s.ranges.fill(f32::NAN)),
+    ];
+    for (i, (text, spoil)) in spoils.iter().enumerate() {
+        let seconds = 0.3 + i as f64 * 0.1;
+        let mut message = scan_at(seconds, way(seconds));
+        spoil(&mut message);
+        let estimate = answer(&mut app, &message);
+        assert!(reason(&estimate).contains("malformed scan") && reason(&estimate).contains(text), "{}", reason(&estimate));
+        assert!(estimate.registration.odom_from_base.is_finite());
+    }
+    assert_eq!(app.counters().malformed_scans, 11);
+    let estimate = answer(&mut app, &scan_at(0.35, way(0.3)));
+    assert!(estimate.registration.outcome.is_ok(), "the next good scan is matched: {:?}", estimate.registration.outcome);
+}
+
+#[test]
+fn rays_without_a_measurement_stay_in_their_place() {
+    let mut message = scan_at(0.0, Pose2::IDENTITY);
+    for (i, value) in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, -1.0, 0.01, 31.0].into_iter().enumerate() {
+        message.ranges[10 * i] = value;
+    }
+    let scan = ScanConverter::default().convert(&message, false).unwrap();
+    assert_eq!((scan.len(), scan.valid_len()), (361, 354));
+    for i in 0..7 {
+        assert_eq!(scan.point(10 * i), None);
+        assert!(scan.point(10 * i + 1).is_some());
+    }
+    message.range_max = f32::INFINITY;
+    assert_eq!(ScanConverter::default().convert(&message, false).unwrap().valid_len(), 355, "no upper limit");
+    message.ranges.fill(f32::NAN);
+    assert_eq!(ScanConverter::default().convert(&message, false).unwrap_err(), ScanError::TooFewValid { valid: 0, beams: 361 });
+}
+
+/// Two lasers that take turns on one topic, a geometry that changes, 10 to 10 000 beams.
+#[test]
+fn the_geometry_may_change_from_scan_to_scan() {
+    let mut app = app(&[]);
+    for (i, beams) in [361, 181, 10_000, 60, 1081, 361].into_iter().enumerate() {
+        let seconds = i as f64 * 0.05;
+        let laser = Laser::with_field_of_view(270.0, beams);
+        let pose = way(seconds);
+        let mut message = scan_at(seconds, pose);
+        message.angle_increment = laser.increment as f32;
+        message.ranges = laser
+            .geometry()
+            .directions()
+            .iter()
+            .map(|&d| room_range(pose.translation(), pose.transform().rotate(d)) as f32)
+            .collect();
+        let estimate = answer(&mut app, &message);
+        assert!(estimate.registration.outcome.is_ok(), "{beams}: {:?}", estimate.registration.outcome);
+        assert_near(estimate.registration.odom_from_base, pose, 0.05);
+    }
+}

@@ -1,0 +1,237 @@
+//! CARMEN logs turned into bags: by hand, damaged, and the real one.
+
+use std::fs;
+use std::io::Write as _;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::io::carmen::{CarmenLog, Mount};
+use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::messages::{Message, Time};
+use anytime_scan_matcher::scan::ScanConverter;
+use proptest::prelude::*;
+
+fn anytime(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_anytime")).args(arguments).output().unwrap()
+}
+
+/// Converts the bytes of a log; answers what the program says, and the bag's name.
+fn converted(folder: &Path, log: &[u8], flags: &[&str]) -> (String, String) {
+    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    let (log_path, bag) = (path("in.clf"), path("out.bag"));
+    fs::write(&log_path, log).unwrap();
+    let output = anytime(&[&["convert", &log_path, &bag], flags].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    (String::from_utf8(output.stdout).unwrap(), bag)
+}
+
+fn messages<T: Message>(bag: &str, topic: &str) -> Vec<T> {
+    let bag = Bag::open(bag).unwrap();
+    bag.messages(Some(&[topic])).map(|message| message.unwrap().decode().unwrap()).collect()
+}
+
+/// Twelve ranges of a wall 2 m away, the last one without a reading.
+const RANGES: &str = "2.0 2.0 2.0 2.0 2.0 2.0 2.0 2.0 2.0 2.0 2.5 81.83";
+
+fn front_laser(pose: &str, time: &str) -> String {
+    format!("FLASER 12 {RANGES} {pose} {time} host 0.1")
+}
+
+/// All that a log of this kind may hold, with the laser 0.2 m ahead of the robot's centre.
+fn log() -> String {
+    let lines = [
+        "# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp".into(),
+        "PARAM robot_frontlaser_offset 0.5 host 0".into(),
+        "ODOM 0 0 0 0.1 0 0 99.5 host 0.0".into(),
+        front_laser("0.2 0 0 0 0 0", "100.000000001"),
+        "SYNC start 100 host 0.2".into(),
+        String::new(),
+        front_laser("1.0 0.2 1.5707963267948966 1.0 0.0 1.5707963267948966", "100.2"),
+        front_laser("1.2 0 0 1.0 0 0", "100.4"),
+        front_laser("1.2 0 0 1.0 0 0", "100.3"),
+        front_laser("1.2 0 0 1.0 0 0", "101.0"),
+    ];
+    lines.join("\r\n")
+}
+
+#[test]
+fn scans_odometry_and_mount_are_those_of_the_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    let (said, bag) = converted(folder.path(), log().as_bytes(), &[]);
+    assert!(said.contains("5 scans") && said.contains("2 stamps mended, by 0.060 s") && said.contains("1 SYNC"), "{said}");
+    let scans: Vec<LaserScan> = messages(&bag, "/scan");
+    assert_eq!(scans[0].header.stamp, Time { sec: 100, nsec: 1 });
+    assert_eq!(scans[0].header.frame_id, "laser");
+    assert_eq!(scans[0].ranges.iter().map(ToString::to_string).collect::<Vec<_>>()[10..], ["2.5", "81.83"]);
+    assert!((scans[0].angle_min.to_degrees() + 90.0).abs() < 1e-4 && (scans[0].angle_max.to_degrees() - 75.0).abs() < 1e-4);
+    let checked = ScanConverter::default().convert(&scans[0], false).unwrap();
+    assert_eq!(checked.valid_len(), 11, "81.83 m is no distance");
+    let stamps: Vec<f64> =
+        scans.iter().map(|scan| f64::from(scan.header.stamp.nsec) * 1e-9 + f64::from(scan.header.stamp.sec)).collect();
+    let expected = [100.000_000_001, 100.2, 100.34, 100.36, 101.0];
+    assert!(stamps.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{stamps:?}");
+
+    let odometry: Vec<Odometry> = messages(&bag, "/odom");
+    assert_eq!(odometry.len(), 5);
+    assert_eq!((odometry[1].header.stamp, odometry[1].child_frame_id.as_str()), (scans[1].header.stamp, "base_link"));
+    assert!((odometry[1].pose.pose.position.x - 1.0).abs() < 1e-9);
+    assert!((odometry[1].pose.pose.orientation.yaw().to_degrees() - 90.0).abs() < 1e-9);
+    let mount = &messages::<TFMessage>(&bag, "/tf_static")[0].transforms[0];
+    assert_eq!((mount.header.frame_id.as_str(), mount.child_frame_id.as_str()), ("base_link", "laser"));
+    assert!((mount.transform.translation.x - 0.2).abs() < 1e-9);
+}
+
+#[test]
+fn robot_laser_lines_tell_their_geometry_and_their_reach() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = |x: f64, time: f64| {
+        format!("ROBOTLASER1 0 -1.0 2.2 0.2 50.0 0.01 0 12 {RANGES} 2 5 6 {x} 0 0.1 {x} 0 0 0.5 0.25 0 0 0 {time} host {time}")
+    };
+    // The same scans as FLASER lines too, as some logs have them.
+    let log =
+        [line(0.0, 10.0), front_laser("0 0 0 0 0 0", "10.0"), line(0.1, 10.2), front_laser("0 0 0 0.1 0 0", "10.2")].join("\n");
+    let (said, bag) = converted(folder.path(), log.as_bytes(), &["--compression", "none"]);
+    assert!(said.contains("2 scans"), "{said}");
+    let scan = &messages::<LaserScan>(&bag, "/scan")[1];
+    assert!(
+        (scan.angle_min + 1.0).abs() < 1e-6 && (scan.angle_increment - 0.2).abs() < 1e-6 && scan.range_max < 50.0,
+        "{scan:?}"
+    );
+    let odometry = &messages::<Odometry>(&bag, "/odom")[1];
+    assert!((odometry.twist.twist.linear.x - 0.5).abs() + (odometry.twist.twist.angular.z - 0.25).abs() < 1e-12);
+    assert_eq!(CarmenLog::parse(&log, Path::new("x"), None).unwrap().mount(), Mount::Scans(Pose2::new(0.0, 0.0, 0.1)));
+}
+
+#[test]
+fn poses_of_another_program_are_no_mount_and_odom_lines_serve_where_scans_have_none() {
+    let corrected = [front_laser("0 0 0 0 0 0", "1"), front_laser("0.9 0.1 0 1 0 0", "2")].join("\n");
+    let parsed = |text: &str| CarmenLog::parse(text, Path::new("x"), None).unwrap();
+    assert_eq!(parsed(&corrected).mount(), Mount::Unknown);
+    let with_parameter = format!("PARAM robot_frontlaser_offset 0.3 host 0\n{corrected}");
+    assert_eq!(parsed(&with_parameter).mount(), Mount::Parameter(Pose2::new(0.3, 0.0, 0.0)));
+
+    let folder = tempfile::tempdir().unwrap();
+    let still = [front_laser("0 0 0 0 0 0", "1"), "ODOM 1 0 0 0.5 0 0 1.5 host 1".into(), "ODOM 2 0 0 0.5 0 0 1.7 host 1".into()];
+    let (_, bag) = converted(folder.path(), still.join("\n").as_bytes(), &[]);
+    let odometry: Vec<Odometry> = messages(&bag, "/odom");
+    assert_eq!(odometry.iter().map(|o| o.pose.pose.position.x.to_string()).collect::<Vec<_>>(), ["1", "2"]);
+}
+
+#[test]
+fn fields_of_view_follow_carmen_unless_told() {
+    let scan = |beams: usize, view: Option<f64>| {
+        let line = format!("FLASER {beams} {} 0 0 0 0 0 0 0.0 host 7.5", "1 ".repeat(beams));
+        CarmenLog::parse(&line, Path::new("x"), view).unwrap().scans[0].clone()
+    };
+    for (beams, increment) in [(180, 1.0), (181, 1.0), (360, 0.5), (361, 0.5)] {
+        let scan = scan(beams, None);
+        assert!(
+            (scan.angle_increment.to_degrees() - increment).abs() < 1e-9 && (scan.angle_min.to_degrees() + 90.0).abs() < 1e-9
+        );
+    }
+    let wide = scan(271, Some(270.0_f64.to_radians()));
+    assert!((wide.angle_increment.to_degrees() - 1.0).abs() < 1e-9 && (wide.angle_min.to_degrees() + 135.0).abs() < 1e-9);
+    assert_eq!(wide.odometry.stamp.to_string(), "7.500000000", "where the sender's clock is 0, the logger's counts");
+}
+
+#[test]
+fn damage_is_left_out_and_said_and_what_is_no_log_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = front_laser("0 0 0 0 0 0", "1");
+    let cut = &good[..40];
+    let (said, _) = converted(folder.path(), format!("{good}\nFLASER 12 1 2 x\n\u{1}\u{2}\n{cut}").as_bytes(), &[]);
+    assert!(said.contains("3 damaged lines left out") && said.contains("in.clf:2: a range is `x`"), "{said}");
+
+    let failure = |name: &str, text: &[u8]| {
+        let path = folder.path().join(name);
+        fs::write(&path, text).unwrap();
+        let output = anytime(&["convert", path.to_str().unwrap(), folder.path().join("o.bag").to_str().unwrap()]);
+        assert_eq!(output.status.code(), Some(1));
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert!(failure("empty.clf", b"# nothing\n").contains("there is nothing in"));
+    let cut = failure("cut.clf", cut.as_bytes());
+    assert!(cut.contains("cut.clf:1: the line ends before") && cut.contains("remove it"), "{cut}");
+    let negative = failure("negative.clf", front_laser("0 0 0 0 0 0", "-3").as_bytes());
+    assert!(negative.contains("the stamp is -3.0"), "{negative}");
+    assert!(failure("a.bag", b"#ROSBAG V2.0\n\x01\x02 what").contains("begins no line of a CARMEN log"));
+    assert!(failure("broken.bz2", b"BZh9 this is no archive").contains("cannot read"));
+    let nowhere = anytime(&["convert", "no/such.clf", "x.bag"]);
+    assert!(nowhere.status.code() == Some(1) && String::from_utf8_lossy(&nowhere.stderr).contains("no/such.clf"));
+    assert_eq!(anytime(&["convert", "a.clf", "x.bag", "--fov", "0"]).status.code(), Some(2));
+}
+
+#[test]
+fn packed_logs_are_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_, plain) = converted(folder.path(), log().as_bytes(), &[]);
+    let plain = fs::read(plain).unwrap();
+    let mut encoder = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::best());
+    encoder.write_all(log().as_bytes()).unwrap();
+    let (_, packed) = converted(folder.path(), &encoder.finish().unwrap(), &[]);
+    assert!(fs::read(packed).unwrap() == plain);
+}
+
+proptest! {
+    /// Bytes of a log overwritten, dropped and doubled.
+    #[test]
+    fn no_mutation_panics(
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0_u8..4), 1..20),
+        word in prop::sample::select(vec!["nan", "inf", "-1", "1e308", "99999999999999999999", "", "-", "ODOM", "FLASER 10000"]),
+    ) {
+        let mut bytes = log().into_bytes();
+        for (place, byte, kind) in changes {
+            let at = place.index(bytes.len());
+            match kind {
+                0 => bytes[at] = byte,
+                1 => drop(bytes.drain(at..(at + usize::from(byte)).min(bytes.len() - 1).max(at))),
+                2 => bytes.extend_from_within(at..),
+                _ => drop(bytes.splice(at..=at, word.bytes())),
+            }
+            bytes.truncate(20_000);
+        }
+        if let Ok(log) = CarmenLog::parse(&String::from_utf8_lossy(&bytes), Path::new("mutated.clf"), None) {
+            let _ = log.mount();
+            let stamps = log.scans.iter().map(|scan| scan.odometry.stamp);
+            prop_assert!(stamps.is_sorted());
+        }
+    }
+}
+
+#[test]
+fn the_intel_log_becomes_the_bag_made_of_it_by_others() {
+    let (Some(log), Some(theirs)) =
+        (crate::common::shared("data/intel/intel.clf.bz2"), crate::common::shared("data/intel/intel.bag"))
+    else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let ours = folder.path().join("intel.bag").to_str().unwrap().to_owned();
+    let output = anytime(&["convert", log.to_str().unwrap(), &ours]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let theirs = theirs.to_str().unwrap();
+    let seconds = |time: Time| f64::from(time.sec) + 1e-9 * f64::from(time.nsec);
+
+    let (scans, expected): (Vec<LaserScan>, Vec<LaserScan>) = (messages(&ours, "/scan"), messages(theirs, "/scan"));
+    assert_eq!((scans.len(), expected.len()), (13_631, 13_631));
+    let mut converter = ScanConverter::default();
+    for (scan, expected) in scans.iter().zip(&expected) {
+        assert!((seconds(scan.header.stamp) - seconds(expected.header.stamp)).abs() < 1e-6, "{:?}", scan.header);
+        assert_eq!((&scan.ranges, scan.angle_min.to_bits()), (&expected.ranges, expected.angle_min.to_bits()));
+        assert!((scan.angle_increment - expected.angle_increment).abs() + (scan.angle_max - expected.angle_max).abs() < 1e-6);
+        let mut valid = |scan| converter.convert(scan, false).unwrap().valid_len();
+        assert_eq!(valid(scan), valid(expected));
+    }
+    let (odometry, expected): (Vec<Odometry>, Vec<Odometry>) = (messages(&ours, "/odom"), messages(theirs, "/odom"));
+    assert_eq!(odometry.len(), expected.len());
+    for (odometry, expected) in odometry.iter().zip(&expected) {
+        let (here, there) = (&odometry.pose.pose, &expected.pose.pose);
+        assert!((here.position.x - there.position.x).abs() + (here.position.y - there.position.y).abs() < 1e-9);
+        assert!((here.orientation.yaw() - there.orientation.yaw()).abs() < 1e-9);
+        assert!((seconds(odometry.header.stamp) - seconds(expected.header.stamp)).abs() < 1e-6);
+    }
+}

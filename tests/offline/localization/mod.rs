@@ -1,0 +1,297 @@
+//! The particle filter on simulated drives through real maps.
+
+mod contract;
+
+use std::collections::BTreeMap;
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::common::{corridor, shared};
+use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock};
+use anytime_scan_matcher::anytime::interrupt::{Never, Request};
+use anytime_scan_matcher::app::localizer::{Localizer, NoEvidence};
+use anytime_scan_matcher::config::Config;
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::io::map_file;
+use anytime_scan_matcher::knobs::Seconds;
+use anytime_scan_matcher::localization::filter::Belief;
+use anytime_scan_matcher::map::grid::OccupancyGrid;
+use anytime_scan_matcher::matching::StopReason;
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
+use anytime_scan_matcher::simulation::scene::Scene;
+use anytime_scan_matcher::time::Stamp;
+
+fn map(name: &str) -> Option<OccupancyGrid> {
+    Some(map_file::read(&shared(&format!("data/maps/{name}.yaml"))?).unwrap())
+}
+
+/// A drive: its messages are made as they are asked for.
+struct Drive {
+    seed: u32,
+    seconds: f64,
+    rate: f64,
+}
+
+/// What came of a drive.
+#[derive(Default)]
+struct Outcome {
+    /// For each scan the error of the belief, and the belief.
+    answers: Vec<(Pose2, Belief)>,
+    metres: f64,
+    times: Vec<Duration>,
+}
+
+impl Outcome {
+    /// Root mean square of the position's error, m, and of the heading's, deg, after the first `skip` scans.
+    fn rmse(&self, skip: usize) -> (f64, f64) {
+        let errors: Vec<_> = self.answers.iter().skip(skip).map(|(error, _)| *error).collect();
+        let root = |of: fn(&Pose2) -> f64| (errors.iter().map(|e| of(e).powi(2)).sum::<f64>() / errors.len() as f64).sqrt();
+        (root(Pose2::distance), root(|error| error.theta.to_degrees()))
+    }
+
+    fn time(&mut self, percent: usize) -> Duration {
+        self.times.sort_unstable();
+        self.times[(self.times.len() - 1) * percent / 100]
+    }
+
+    /// Whether the last second of the drive was spent where the robot was.
+    fn converged(&self, rate: f64) -> bool {
+        let last = self.answers.len().saturating_sub(rate as usize);
+        self.answers[last..].iter().all(|answer| is_right(answer) && answer.1.is_localized())
+    }
+}
+
+/// Whether the robot is where it is believed to be.
+fn is_right((error, _): &(Pose2, Belief)) -> bool {
+    error.distance() < 0.3 && error.theta.abs() < 0.1
+}
+
+/// Drives one after the other, between which the robot is carried off; `prepare` is called before the first scan.
+fn run(map: &OccupancyGrid, drives: &[Drive], config: &Config, prepare: impl FnOnce(&mut Localizer, Pose2)) -> Outcome {
+    let mut localizer = Localizer::new(map.clone(), config, clock()).unwrap();
+    let (mut prepare, mut outcome) = (Some(prepare), Outcome::default());
+    for (number, drive) in drives.iter().enumerate() {
+        let later = number as f64 * (drive.seconds + 1.0);
+        let scene = Scene::in_map(map.clone(), drive.seed).unwrap();
+        let mut settings = Settings::default();
+        settings.drive.duration = Seconds(drive.seconds);
+        settings.drive.seed = drive.seed;
+        settings.lidar.rate = drive.rate;
+        let (mut truth, mut last_truth) = (BTreeMap::new(), None::<Pose2>);
+        // As the node does, a scan is held until the odometry for it has come.
+        let mut held: Option<LaserScan> = None;
+        simulate::<Infallible>(&settings, &scene, |_, message| {
+            match message {
+                SimulatedMessage::Mount(mount) => localizer.on_transforms(&mount).unwrap(),
+                SimulatedMessage::Odometry(mut odometry) => {
+                    odometry.header.stamp = Stamp::from(odometry.header.stamp).offset_by(later).into();
+                    localizer.on_odometry(&odometry).unwrap();
+                }
+                SimulatedMessage::Truth { stamp, map_from_base } => {
+                    outcome.metres +=
+                        last_truth.replace(map_from_base).map_or(0.0, |last| last.between(&map_from_base).distance());
+                    if let Some(prepare) = prepare.take() {
+                        prepare(&mut localizer, map_from_base);
+                    }
+                    truth.insert(stamp.offset_by(later), map_from_base);
+                }
+                SimulatedMessage::Scan(mut scan) => {
+                    scan.header.stamp = Stamp::from(scan.header.stamp).offset_by(later).into();
+                    held = Some(scan);
+                }
+            }
+            if let Some(scan) = held.take_if(|scan| localizer.wait_for_odometry(scan.header.stamp.into()).is_none()) {
+                let start = Instant::now();
+                let belief = take(&mut localizer, &scan).unwrap();
+                outcome.times.push(start.elapsed());
+                let true_pose = truth[&scan.header.stamp.into()];
+                let (x, y) = (belief.map_from_base.x - true_pose.x, belief.map_from_base.y - true_pose.y);
+                let error = Pose2::new(x, y, belief.map_from_base.theta - true_pose.theta);
+                outcome.answers.push((error, belief));
+            }
+            Ok(())
+        })
+        .unwrap();
+    }
+    outcome
+}
+
+/// The clock, which no answer depends on.
+fn clock() -> Arc<dyn Clock> {
+    Arc::new(MonotonicClock::default())
+}
+
+/// Takes in a scan, and does the work that follows.
+fn take(localizer: &mut Localizer, scan: &LaserScan) -> Result<Belief, NoEvidence> {
+    let mut fix = localizer.on_scan(scan, Duration::ZERO, &Never);
+    localizer.conclude(&mut fix);
+    localizer.maintain(&Never);
+    fix.belief
+}
+
+fn at_truth(localizer: &mut Localizer, pose: Pose2) {
+    localizer.start_at(&(pose * Pose2::new(0.1, -0.1, 0.05)), None);
+}
+
+fn tracks(map: &OccupancyGrid, name: &str, seconds: f64, metres: f64, threads: u32) {
+    let mut config = Config::default();
+    config.localization.threads = threads;
+    let mut outcome = run(map, &[Drive { seed: 3, seconds, rate: 40.0 }], &config, at_truth);
+    let (position, heading) = outcome.rmse(40);
+    let times = [50, 99, 100].map(|percent| outcome.time(percent));
+    let effective = outcome.answers.iter().map(|(_, belief)| belief.effective).sum::<f64>() / outcome.answers.len() as f64;
+    eprintln!(
+        "{name}: {:.0} m, position {position:.4} m, heading {heading:.3} deg, effective {effective:.0}; update p50, p99, max {times:?}",
+        outcome.metres
+    );
+    assert!(outcome.metres >= metres && position < 0.05 && heading < 0.5);
+}
+
+#[test]
+fn a_drive_is_tracked() {
+    tracks(&corridor(), "made-up corridor", 25.0, 40.0, 0);
+}
+
+#[test]
+fn the_map_may_be_turned_and_its_cells_of_any_size() {
+    let grid = corridor();
+    let turned = OccupancyGrid::new(grid.width(), 0.06, Pose2::new(7.0, -3.0, 2.0), grid.cells().to_vec()).unwrap();
+    let outcome = run(&turned, &[Drive { seed: 3, seconds: 8.0, rate: 20.0 }], &Config::default(), at_truth);
+    let (position, heading) = outcome.rmse(20);
+    assert!(outcome.metres > 5.0 && position < 0.05 && heading < 0.5, "{position} m, {heading} deg in {} m", outcome.metres);
+}
+
+#[test]
+#[ignore = "half a minute for each map"]
+fn long_drives_on_real_maps_are_tracked() {
+    for name in ["levine", "columbia", "skirk"] {
+        let Some(map) = map(name) else { return };
+        tracks(&map, name, 85.0, 200.0, 1);
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_belief_on_any_number_of_threads() {
+    let map = corridor();
+    let beliefs = |threads: u32, seed: u32| {
+        let mut config = Config::default();
+        config.set_yaml(&format!("localization: {{threads: {threads}, seed: {seed}, global_particles: 20000}}"), "test").unwrap();
+        let outcome = run(&map, &[Drive { seed: 1, seconds: 1.5, rate: 20.0 }], &config, |_, _| {});
+        outcome.answers.into_iter().map(|(_, belief)| belief).collect::<Vec<_>>()
+    };
+    let one = beliefs(1, 1);
+    assert!(one == beliefs(1, 1) && one == beliefs(3, 1));
+    assert!(one != beliefs(1, 2));
+}
+
+/// Tries from global uncertainty.
+struct Tries {
+    /// The share that end at the robot.
+    found: f64,
+    /// The share of all answers that claim to know where the robot is, and are wrong.
+    false_claims: f64,
+}
+
+fn search(map: &OccupancyGrid, name: &str, tries: u32, seconds: f64) -> Tries {
+    let rate = 10.0;
+    let (mut found, mut waits, mut claims, mut answers) = (0, Vec::new(), 0, 0);
+    for seed in 1..=tries {
+        let mut config = Config::default();
+        config.localization.seed = seed;
+        let outcome = run(map, &[Drive { seed, seconds, rate }], &config, |_, _| {});
+        let false_claims = outcome.answers.iter().filter(|answer| answer.1.is_localized() && !is_right(answer)).count();
+        let last_wrong = outcome.answers.iter().rposition(|answer| !(answer.1.is_localized() && is_right(answer)));
+        waits.push(last_wrong.map_or(0.0, |last| (last + 1) as f64 / rate));
+        (claims, answers) = (claims + false_claims, answers + outcome.answers.len());
+        let converged = outcome.converged(rate);
+        found += u32::from(converged);
+        if !converged || false_claims > 0 {
+            let (error, belief) = outcome.answers.last().unwrap();
+            eprintln!("{name}, seed {seed}: {false_claims} false claims; at last {error:?}, {belief:?}");
+        }
+    }
+    waits.sort_by(f64::total_cmp);
+    let tries = Tries { found: f64::from(found) / f64::from(tries), false_claims: claims as f64 / answers as f64 };
+    let median = waits[waits.len() / 2];
+    eprintln!(
+        "{name}: {found} of {} tries found the robot within {seconds} s, half of them within {median} s; false claims in {:.2} % of the answers",
+        waits.len(),
+        100.0 * tries.false_claims
+    );
+    tries
+}
+
+#[test]
+fn the_robot_is_found_wherever_it_is() {
+    assert!(search(&corridor(), "made-up corridor", 3, 20.0).found > 0.99);
+}
+
+#[test]
+#[ignore = "some minutes"]
+fn the_robot_is_found_on_real_maps() {
+    let maps = ["levine", "columbia"].into_iter().filter_map(|name| Some((name, map(name)?)));
+    let all: Vec<Tries> = maps.map(|(name, map)| search(&map, name, 40, 45.0)).collect();
+    assert!(all.iter().all(|tries| tries.found >= 0.95 && tries.false_claims < 0.01));
+}
+
+#[test]
+fn a_kidnapped_robot_is_found_again() {
+    let rate = 10.0;
+    let drives = [2, 5].map(|seed| Drive { seed, seconds: 20.0, rate });
+    let outcome = run(&corridor(), &drives, &Config::default(), at_truth);
+    let (before, after) = (&outcome.answers[190], &outcome.answers[205]);
+    assert!(before.0.distance() < 0.2 && after.0.distance() > 1.0, "{before:?} {after:?}");
+    assert!(outcome.converged(rate), "{:?}", outcome.answers.last());
+}
+
+/// The first scans of a drive through the corridor.
+fn three_scans() -> Vec<LaserScan> {
+    let mut scans = Vec::new();
+    simulate::<()>(&Settings::default(), &Scene::in_map(corridor(), 1).unwrap(), |_, message| match message {
+        SimulatedMessage::Scan(scan) => {
+            scans.push(scan);
+            if scans.len() == 3 { Err(()) } else { Ok(()) }
+        }
+        _ => Ok(()),
+    })
+    .unwrap_err();
+    scans
+}
+
+#[test]
+fn who_calls_has_the_answer_before_any_beam_and_the_scan_is_taken_in_later() {
+    let mut localizer = Localizer::new(corridor(), &Config::default(), clock()).unwrap();
+    let (scans, request) = (three_scans(), Request::default());
+    let mut answer = |scan: &LaserScan| {
+        let mut fix = localizer.on_scan(scan, Duration::ZERO, &request);
+        localizer.conclude(&mut fix);
+        localizer.maintain(&Never);
+        (fix.stop_reason, fix.belief.unwrap())
+    };
+    request.make();
+    let (reason, called) = answer(&scans[0]);
+    assert_eq!((reason, called.beams), (Some(StopReason::Interrupted), 0));
+    request.clear();
+    let (reason, free) = answer(&scans[1]);
+    assert_eq!((reason, free.beams), (Some(StopReason::Converged), 60));
+    assert!(free.share > 2.0 * called.share, "the first scan left its trace: {} after {}", free.share, called.share);
+}
+
+#[test]
+fn nothing_is_evidence_twice_and_bad_scans_change_nothing() {
+    let mut localizer = Localizer::new(corridor(), &Config::default(), clock()).unwrap();
+    let scans = three_scans();
+    take(&mut localizer, &scans[1]).unwrap();
+    let poses: Vec<_> = localizer.filter().poses().collect();
+    assert_eq!(take(&mut localizer, &scans[1]), Err(NoEvidence::NotNewer));
+    assert_eq!(take(&mut localizer, &scans[0]), Err(NoEvidence::NotNewer));
+    let mut broken = scans[2].clone();
+    broken.ranges.truncate(5);
+    assert!(matches!(take(&mut localizer, &broken), Err(NoEvidence::Malformed(_))));
+    assert!(poses.iter().eq(localizer.filter().poses().collect::<Vec<_>>().iter()));
+    // Outside the map nothing can be said, and nothing breaks.
+    localizer.start_at(&Pose2::new(1e4, -1e4, 0.0), None);
+    assert!(take(&mut localizer, &scans[2]).unwrap().map_from_base.is_finite());
+}

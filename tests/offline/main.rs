@@ -1,0 +1,29 @@
+//! What needs no ROS graph and takes seconds; what takes longer is in `tests/soak`.
+#![cfg(feature = "cli")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr, clippy::print_stdout)]
+#![allow(clippy::float_cmp, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+
+mod app;
+mod bag;
+#[path = "../common/mod.rs"]
+mod common;
+mod contract;
+mod convert;
+mod correspondences;
+mod covariance;
+mod evaluation;
+mod fuzz;
+mod layers;
+#[cfg(target_os = "linux")]
+mod licences;
+mod localization;
+mod no_allocation;
+mod plotjuggler;
+mod profile;
+mod raycasting;
+mod readme;
+mod replay;
+#[cfg(target_os = "linux")]
+mod shared_memory;
+mod simulation;
+mod solvers;

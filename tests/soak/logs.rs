@@ -1,0 +1,77 @@
+//! The real logs, to their end, and long drives.
+
+use std::fs;
+use std::process::Command;
+
+use serde_json::Value;
+
+use crate::common::shared;
+
+fn json(arguments: &[&str]) -> Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+struct Log {
+    name: &'static str,
+    scans: usize,
+    laser_in_base: &'static str,
+    /// Failed matches at most.
+    failures: u64,
+    /// Mean translational relation error at most, m.
+    relations: Option<f64>,
+}
+
+#[test]
+fn the_real_logs_run_to_their_end() {
+    let logs = [
+        Log { name: "fr079", scans: 4934, laser_in_base: "[-0.04, 0, 0]", failures: 2, relations: Some(0.05) },
+        Log { name: "aces", scans: 7374, laser_in_base: "[0, 0, 0]", failures: 5, relations: Some(0.11) },
+        Log { name: "intel", scans: 13631, laser_in_base: "[0, 0, 0]", failures: 5, relations: Some(0.05) },
+        Log { name: "ual-car", scans: 3318, laser_in_base: "[2.0, 0, 0]", failures: 20, relations: None },
+        Log { name: "mines-exp1", scans: 756, laser_in_base: "[0.145, 0, 0]", failures: 30, relations: None },
+        Log { name: "scan-tools-demo", scans: 360, laser_in_base: "[0, 0, 0]", failures: 0, relations: None },
+        Log { name: "racecar-levine", scans: 4172, laser_in_base: "unset", failures: 0, relations: None },
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    for log in logs {
+        let Some(bag) = shared(&format!("data/{0}/{0}.bag", log.name)) else { return };
+        let tum = folder.path().join("out.tum");
+        let mount = format!("odometry.laser_in_base={}", log.laser_in_base);
+        let mut arguments = vec!["replay", bag.to_str().unwrap(), "--tum", tum.to_str().unwrap(), "--json", "--set", &mount];
+        let truth = bag.with_file_name("truth.tum");
+        if truth.exists() {
+            arguments.extend(["--truth", truth.to_str().unwrap()]);
+        }
+        let summary = json(&arguments);
+        eprintln!(
+            "{:16} scans {} failed {} {} time_us {} ATE {}",
+            log.name, summary["scans"], summary["failed"], summary["failures"], summary["time_us"], summary["ate_rmse_m"]
+        );
+        assert_eq!(summary["scans"], log.scans, "{}", log.name);
+        assert_eq!(fs::read_to_string(&tum).unwrap().lines().count(), log.scans, "a pose for every scan of {}", log.name);
+        assert!(summary["failed"].as_u64().unwrap() <= log.failures, "{}: {summary}", log.name);
+        if let Some(limit) = log.relations {
+            let relations = bag.with_extension("relations");
+            let result = json(&["evaluate", tum.to_str().unwrap(), "--relations", relations.to_str().unwrap(), "--json"]);
+            let mean = result["relations"]["trans_m"]["mean"].as_f64().unwrap();
+            eprintln!("{:16} relations: mean translational error {mean:.3} m, at most {limit} m", "");
+            assert!(mean <= limit, "{}: {mean}", log.name);
+        }
+        if log.name == "racecar-levine" {
+            assert!(summary["ate_rmse_m"].as_f64().unwrap() < 0.05, "{summary}");
+        }
+    }
+}
+
+/// Without odometry nothing but the scans tells how far along its corridors the robot has come, and the ranges err alike from scan to
+/// scan.
+#[test]
+fn long_corridors_are_driven_by_scans_alone() {
+    let Some(bag) = shared("data/racecar-levine/racecar-levine.bag") else { return };
+    let truth = bag.with_file_name("truth.tum");
+    let summary = json(&["replay", bag.to_str().unwrap(), "--scan-only", "--truth", truth.to_str().unwrap(), "--json"]);
+    eprintln!("racecar-levine, scans alone: ATE {} m", summary["ate_rmse_m"]);
+    assert!(summary["ate_rmse_m"].as_f64().unwrap() < 0.05, "{summary}");
+}

@@ -1,0 +1,9 @@
+//! Many drives, many pairs of scans and long logs, each test some ten seconds: how good the estimates are.
+#![cfg(feature = "cli")]
+#![allow(clippy::unwrap_used, clippy::print_stderr, clippy::print_stdout, clippy::cast_possible_truncation)]
+
+mod accuracy;
+#[path = "../common/mod.rs"]
+mod common;
+mod logs;
+mod odometry;

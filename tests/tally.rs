@@ -1,0 +1,21 @@
+//! The last of the test programs: how many tests were skipped by those before it, and why.
+#![allow(clippy::unwrap_used, dead_code, unreachable_pub)]
+
+#[path = "common/skipped.rs"]
+mod skipped;
+
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+
+#[test]
+fn skipped_tests_are_counted() {
+    let skipped = skipped::take_skipped();
+    let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
+    for line in &skipped {
+        *reasons.entry(line.split_once(": ").unwrap().1).or_default() += 1;
+    }
+    let list: Vec<String> = reasons.iter().map(|(reason, count)| format!("{count} x {reason}")).collect();
+    let list = if list.is_empty() { String::new() } else { format!(": {}", list.join("; ")) };
+    // Past the test runner, which shows what failing tests print.
+    writeln!(io::stderr(), "\nskipped tests: {}{list}", skipped.len()).unwrap();
+}
