@@ -1,6 +1,8 @@
 //! A laser scan, checked once and immutable from then on.
 
+use std::collections::HashSet;
 use std::f64::consts::TAU;
+use std::mem::Discriminant;
 use std::sync::Arc;
 
 use thiserror::Error;
@@ -15,10 +17,56 @@ pub const MIN_BEAMS: usize = 10;
 pub const MAX_BEAMS: usize = 10_000;
 /// Least part of the rays that must carry a measurement.
 pub const MIN_VALID_FRACTION: f64 = 0.1;
-/// A sweep may exceed a full turn by this much, rad: the rounding of the message's 32-bit angles.
+/// A sweep may exceed a full turn by a beam, which then looks where the first one does, and by this much, rad: the rounding of the
+/// message's 32-bit angles.
 const FULL_TURN_TOLERANCE: f64 = 1e-4;
 /// Drivers round the number of beams or the last angle: the two may disagree by this many beams.
 const BEAM_COUNT_TOLERANCE: f64 = 1.6;
+
+/// Something odd in a message that keeps no scan from being used: said once, with the remedy.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum Oddity {
+    /// The number of ranges is not what the angles say.
+    #[error(
+        "{beams} ranges, but angle_min, angle_max and angle_increment make {expected:.1}: beam i is taken to point to angle_min + i * angle_increment"
+    )]
+    BeamCount {
+        /// Number of ranges.
+        beams: usize,
+        /// Number that the angles give.
+        expected: f64,
+    },
+    /// The time between two rays is no number.
+    #[error(
+        "time_increment is {value}: ignored, all rays are taken to be of one moment (odometry.scan_duration can say how long a sweep takes)"
+    )]
+    TimeIncrement {
+        /// Its value.
+        value: f64,
+    },
+    /// A number that nothing depends on is none.
+    #[error("{field} is {value}: ignored")]
+    Ignored {
+        /// Name of the message field.
+        field: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// Intensities are there, but not one for every range.
+    #[error("{ranges} ranges but {intensities} intensities: these are ignored")]
+    Intensities {
+        /// Number of ranges.
+        ranges: usize,
+        /// Number of intensities.
+        intensities: usize,
+    },
+    /// Many rays carry the same greatest range, which is less than `range_max`.
+    #[error("rays that see nothing seem to carry a range of about {range:.2} m: they are no walls (range_max should be that)")]
+    NothingSeen {
+        /// The range.
+        range: f64,
+    },
+}
 
 /// Why a message is not a usable scan.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -40,21 +88,13 @@ pub enum ScanError {
         /// Number of ranges.
         beams: usize,
     },
-    /// The number of ranges is not what the angles say.
-    #[error("{beams} ranges, but angle_min, angle_max and angle_increment make {expected:.1}")]
-    AngleMismatch {
-        /// Number of ranges.
-        beams: usize,
-        /// Number that the angles give.
-        expected: f64,
-    },
-    /// Intensities are there, but not one for every range.
-    #[error("{ranges} ranges but {intensities} intensities: there must be as many, or none")]
-    IntensityMismatch {
+    /// There is not one range for each beam.
+    #[error("{ranges} ranges for {beams} beams")]
+    RangeCount {
         /// Number of ranges.
         ranges: usize,
-        /// Number of intensities.
-        intensities: usize,
+        /// Number of beams.
+        beams: usize,
     },
     /// The beams pass their start again.
     #[error("the beams sweep {degrees:.1} degrees: more than a full turn")]
@@ -163,35 +203,38 @@ pub struct Scan {
     beams: Arc<BeamGeometry>,
     ranges: Vec<f64>,
     valid: usize,
+    /// The rays that met nothing within reach.
+    nothing_seen: Vec<bool>,
     /// From one ray to the next, s.
     time_increment: f64,
 }
 
 impl Scan {
-    /// A scan from ranges in metres. A ray is without a measurement (REP 117) when its range is NaN, infinite, not positive, below
-    /// `range_min` or above `range_max`.
+    /// A scan from ranges in metres. A ray saw nothing (REP 117) when its range is above `range_max`. It is without a measurement when its
+    /// range is NaN, not positive, below `range_min`, or minus infinity.
     pub fn new(
         stamp: Stamp,
         beams: Arc<BeamGeometry>,
         (range_min, range_max): (f64, f64),
         ranges: impl IntoIterator<Item = f64>,
     ) -> Result<Self, ScanError> {
-        let mut valid = 0;
+        let (mut valid, mut nothing_seen) = (0, Vec::with_capacity(beams.len()));
         let ranges: Vec<f64> = ranges
             .into_iter()
             .map(|range| {
                 let measured = range.is_finite() && range > 0.0 && range >= range_min && range <= range_max;
                 valid += usize::from(measured);
+                nothing_seen.push(range > range_max || range == f64::INFINITY);
                 if measured { range } else { f64::NAN }
             })
             .collect();
         if ranges.len() != beams.len() {
-            return Err(ScanError::AngleMismatch { beams: ranges.len(), expected: beams.len() as f64 });
+            return Err(ScanError::RangeCount { ranges: ranges.len(), beams: beams.len() });
         }
         if (valid as f64) < MIN_VALID_FRACTION * ranges.len() as f64 {
             return Err(ScanError::TooFewValid { valid, beams: ranges.len() });
         }
-        Ok(Self { stamp, beams, ranges, valid, time_increment: 0.0 })
+        Ok(Self { stamp, beams, ranges, valid, nothing_seen, time_increment: 0.0 })
     }
 
     /// When the scan was taken.
@@ -211,14 +254,14 @@ impl Scan {
         self.time_increment * self.len().saturating_sub(1) as f64
     }
 
-    /// The scan as the laser would have seen it without moving on from where it was at the first ray: what each ray has met, seen from
-    /// there. `twist`: of the laser, in its own frame; `sweep_duration`: from the first ray to the last, s.
+    /// The scan as the laser would have seen it from where it was at the scan's stamp. `twist`: of the laser, in its own frame. The first
+    /// ray was taken `first_ray` s after the stamp, the last one `sweep_duration` s after the first, which may be before it.
     #[must_use]
-    pub fn undistorted(&self, twist: &Twist2, sweep_duration: f64) -> Self {
+    pub fn undistorted(&self, twist: &Twist2, first_ray: f64, sweep_duration: f64) -> Self {
         let (mut ranges, mut directions) = (self.ranges.clone(), self.beams.directions.clone());
         let time_increment = sweep_duration / self.len().saturating_sub(1).max(1) as f64;
         for (i, (range, direction)) in ranges.iter_mut().zip(&mut directions).enumerate() {
-            let motion = twist.motion(i as f64 * time_increment).transform();
+            let motion = twist.motion(first_ray + i as f64 * time_increment).transform();
             if range.is_nan() {
                 *direction = motion.rotate(*direction);
             } else {
@@ -227,8 +270,9 @@ impl Scan {
                 *direction = point / *range;
             }
         }
-        let beams = BeamGeometry::about(self.beams.angle_min, self.beams.angle_increment, directions);
-        Self { stamp: self.stamp, beams: Arc::new(beams), ranges, valid: self.valid, time_increment: 0.0 }
+        let beams = Arc::new(BeamGeometry::about(self.beams.angle_min, self.beams.angle_increment, directions));
+        let nothing_seen = self.nothing_seen.clone();
+        Self { stamp: self.stamp, beams, ranges, valid: self.valid, nothing_seen, time_increment: 0.0 }
     }
 
     /// Directions of its beams.
@@ -249,6 +293,11 @@ impl Scan {
     /// Number of rays that carry a measurement.
     pub fn valid_len(&self) -> usize {
         self.valid
+    }
+
+    /// Whether ray `i` met nothing within the laser's reach.
+    pub fn saw_nothing(&self, i: usize) -> bool {
+        self.nothing_seen.get(i).is_some_and(|&nothing| nothing)
     }
 
     /// Ranges in ray order, m; NaN where there is no measurement.
@@ -277,6 +326,9 @@ impl Scan {
 #[derive(Debug, Default)]
 pub struct ScanConverter {
     beams: Option<Arc<BeamGeometry>>,
+    reach: Reach,
+    said: HashSet<Discriminant<Oddity>>,
+    oddities: Vec<Oddity>,
 }
 
 impl ScanConverter {
@@ -284,13 +336,49 @@ impl ScanConverter {
     pub fn convert(&mut self, message: &LaserScan, upside_down: bool) -> Result<Scan, ScanError> {
         let side = if upside_down { -1.0 } else { 1.0 };
         check_header(message)?;
+        self.note_oddities(message);
         let angle_min = side * f64::from(message.angle_min);
         let angle_increment = side * f64::from(message.angle_increment);
         let beams = self.beams(angle_min, angle_increment, message.ranges.len());
-        let limits = (f64::from(message.range_min), f64::from(message.range_max));
+        let range_max = self.reach.least_of_nothing(message);
+        if let Some(range) = self.reach.marker {
+            self.note(Oddity::NothingSeen { range });
+        }
+        let limits = (f64::from(message.range_min), range_max.next_down());
         let ranges = message.ranges.iter().map(|&range| f64::from(range));
         let scan = Scan::new(message.header.stamp.into(), beams, limits, ranges)?;
-        Ok(scan.with_time_increment(message.time_increment.into()))
+        let time_increment = f64::from(message.time_increment);
+        Ok(scan.with_time_increment(if time_increment.is_finite() { time_increment } else { 0.0 }))
+    }
+
+    /// What was odd in the messages since the last call, each kind of it once.
+    pub fn take_oddities(&mut self) -> Vec<Oddity> {
+        std::mem::take(&mut self.oddities)
+    }
+
+    fn note(&mut self, oddity: Oddity) {
+        if self.said.insert(std::mem::discriminant(&oddity)) {
+            self.oddities.push(oddity);
+        }
+    }
+
+    /// What matching does not need is not refused for.
+    fn note_oddities(&mut self, message: &LaserScan) {
+        let (beams, intensities) = (message.ranges.len(), message.intensities.len());
+        let expected = (f64::from(message.angle_max) - f64::from(message.angle_min)) / f64::from(message.angle_increment) + 1.0;
+        let fits = (expected - beams as f64).abs() <= BEAM_COUNT_TOLERANCE;
+        if !fits {
+            self.note(Oddity::BeamCount { beams, expected });
+        }
+        if !message.scan_time.is_finite() {
+            self.note(Oddity::Ignored { field: "scan_time", value: message.scan_time.into() });
+        }
+        if !message.time_increment.is_finite() {
+            self.note(Oddity::TimeIncrement { value: message.time_increment.into() });
+        }
+        if intensities != 0 && intensities != beams {
+            self.note(Oddity::Intensities { ranges: beams, intensities });
+        }
     }
 
     fn beams(&mut self, angle_min: f64, angle_increment: f64, len: usize) -> Arc<BeamGeometry> {
@@ -301,15 +389,45 @@ impl ScanConverter {
     }
 }
 
+/// From which range on a ray of a laser saw nothing. Drivers and simulators write `inf` there (REP 117), `range_max`, a hair less, or a
+/// number of their own, with or without noise.
+#[derive(Debug, Default)]
+struct Reach {
+    /// A number of the driver's own: the greatest range that many rays have had at once, m.
+    marker: Option<f64>,
+}
+
+impl Reach {
+    /// Readings this much alike, as a part of them, are one: what is left of a number that was rounded, shifted or had noise added.
+    const ALIKE: f64 = 0.004;
+    /// A flat wall has ranges that are so much alike within `2 sqrt(2 ALIKE)` rad, 10 degrees. Two of them can be seen at the same distance,
+    /// one at either end of a corridor; no more rays than that are walls.
+    const WIDEST_WALLS: f64 = 0.36;
+    /// A range this near to `range_max`, as a part of it, cannot be told from it.
+    const HAIR: f64 = 0.002;
+
+    /// The least range that means nothing was seen.
+    fn least_of_nothing(&mut self, message: &LaserScan) -> f64 {
+        let limit = f64::from(message.range_max) * (1.0 - Self::HAIR);
+        let least = f64::from(message.range_min).max(0.0);
+        let readings = || message.ranges.iter().map(|&range| f64::from(range)).filter(|&range| range > least && range < limit);
+        let greatest = readings().fold(0.0, f64::max);
+        let alike = |range: f64, marker: f64| range >= (1.0 - Self::ALIKE) * marker;
+        self.marker.take_if(|marker| greatest > *marker * (1.0 + Self::ALIKE)); // something was seen beyond it
+        let rays = readings().filter(|&range| alike(range, greatest)).count();
+        if self.marker.is_none() && rays as f64 * f64::from(message.angle_increment).abs() > Self::WIDEST_WALLS {
+            self.marker = Some(greatest);
+        }
+        self.marker.map_or(limit, |marker| limit.min((1.0 - Self::ALIKE) * marker))
+    }
+}
+
 fn check_header(message: &LaserScan) -> Result<(), ScanError> {
     let numbers = [
         ("angle_min", message.angle_min),
-        ("angle_max", message.angle_max),
         ("angle_increment", message.angle_increment),
         ("range_min", message.range_min),
         ("range_max", message.range_max),
-        ("time_increment", message.time_increment),
-        ("scan_time", message.scan_time),
     ];
     for (field, value) in numbers {
         // Some drivers say "no upper limit" with an infinite range_max.
@@ -325,18 +443,10 @@ fn check_header(message: &LaserScan) -> Result<(), ScanError> {
     if !(MIN_BEAMS..=MAX_BEAMS).contains(&beams) {
         return Err(ScanError::BeamCount { beams });
     }
-    let increment = f64::from(message.angle_increment);
-    let expected = (f64::from(message.angle_max) - f64::from(message.angle_min)) / increment + 1.0;
-    if (expected - beams as f64).abs() > BEAM_COUNT_TOLERANCE {
-        return Err(ScanError::AngleMismatch { beams, expected });
-    }
-    let sweep = (beams - 1) as f64 * increment.abs();
-    if sweep > TAU + FULL_TURN_TOLERANCE {
+    let increment = f64::from(message.angle_increment).abs();
+    let sweep = (beams - 1) as f64 * increment;
+    if sweep > TAU + increment + FULL_TURN_TOLERANCE {
         return Err(ScanError::MoreThanATurn { degrees: sweep.to_degrees() });
-    }
-    let intensities = message.intensities.len();
-    if intensities != 0 && intensities != beams {
-        return Err(ScanError::IntensityMismatch { ranges: beams, intensities });
     }
     if message.range_max <= message.range_min || message.range_max <= 0.0 {
         return Err(ScanError::EmptyRangeInterval { min: message.range_min.into(), max: message.range_max.into() });
@@ -361,7 +471,7 @@ mod tests {
         let ranges = beams.directions().iter().enumerate().map(range).collect::<Vec<_>>();
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), ranges).unwrap().with_time_increment(increment);
         let off = |scan: &Scan| (0..scan.len()).map(|i| (scan.point(i).unwrap().y - 2.0).abs()).fold(0.0, f64::max);
-        let undistorted = scan.undistorted(&twist, scan.sweep_duration());
+        let undistorted = scan.undistorted(&twist, 0.0, scan.sweep_duration());
         assert!(off(&scan) > 0.05 && off(&undistorted) < 1e-9);
         assert!((scan.sweep_duration() - 0.02).abs() < 1e-12 && undistorted.sweep_duration() == 0.0);
     }

@@ -25,7 +25,7 @@ use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::{WheelOdometry, WheelSample};
 use crate::scan::{ScanConverter, ScanError};
 use crate::time::Stamp;
-use crate::transforms::{Mount, TransformTree, frame_name};
+use crate::transforms::{Mount, TiltedMount, TransformTree, frame_name};
 
 /// Over a longer time than this the last velocity says nothing, s.
 const LONGEST_GUESS: f64 = 0.5;
@@ -54,6 +54,9 @@ pub enum NoEvidence {
     /// The message is malformed.
     #[error("malformed scan: {0}")]
     Malformed(#[from] ScanError),
+    /// The laser does not look along the floor.
+    #[error(transparent)]
+    Tilted(#[from] TiltedMount),
     /// The scan, or a later one, has been used before.
     #[error("the scan's stamp is not later than that of the one before: nothing is evidence twice")]
     NotNewer,
@@ -95,6 +98,7 @@ pub struct Localizer {
     /// The last odometry: stamp and pose in its own frame.
     odometer: Option<(Stamp, Pose2)>,
     converter: ScanConverter,
+    remarks: Vec<String>,
     transforms: TransformTree,
     mount: Mount,
     mount_source: MountSource,
@@ -118,8 +122,9 @@ impl Localizer {
             wheel: WheelOdometry::default(),
             odometer: None,
             converter: ScanConverter::default(),
+            remarks: Vec::new(),
             transforms: TransformTree::default(),
-            mount: Mount { base_from_laser: parameter.unwrap_or_default(), upside_down: false },
+            mount: Mount { base_from_laser: parameter.unwrap_or_default(), ..Mount::default() },
             mount_source: if parameter.is_some() { MountSource::Parameter } else { MountSource::Assumed },
             last: None,
             twist: Twist2::default(),
@@ -195,10 +200,12 @@ impl Localizer {
         if since_last.is_some_and(|seconds| (-NEW_TIME..=0.0).contains(&seconds)) {
             return Err(NoEvidence::NotNewer);
         }
-        self.update_mount(&message.header.frame_id);
-        let scan = self.converter.convert(message, self.mount.upside_down)?;
+        self.update_mount(&message.header.frame_id)?;
+        let scan = self.converter.convert(message, self.mount.upside_down);
+        self.remarks.extend(self.converter.take_oddities().iter().map(ToString::to_string));
+        let scan = scan?;
         self.last.take_if(|_| since_last.is_some_and(|seconds| seconds < 0.0));
-        Ok(Observation::new(&scan, &message.ranges, self.config.sensor.beams as usize))
+        Ok(Observation::new(&scan, self.config.sensor.beams as usize))
     }
 
     fn take_in(
@@ -361,13 +368,20 @@ impl Localizer {
         self.deadline_misses
     }
 
-    fn update_mount(&mut self, laser_frame: &str) {
-        if self.mount_source == MountSource::Parameter {
-            return;
+    fn update_mount(&mut self, laser_frame: &str) -> Result<(), TiltedMount> {
+        let parameter = self.config.odometry.laser_in_base;
+        if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter)? {
+            self.mount = mount;
+            if parameter.is_none() {
+                self.mount_source = MountSource::Transforms;
+            }
         }
-        if let Some(mount) = self.transforms.mount(&self.config.frames.base_frame, laser_frame) {
-            (self.mount, self.mount_source) = (mount, MountSource::Transforms);
-        }
+        Ok(())
+    }
+
+    /// What is odd in the messages so far and was not said before; each kind of it is said once.
+    pub fn take_remarks(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.remarks)
     }
 
     /// A place is given in the frame of the map; some programs leave the frame empty.

@@ -32,12 +32,12 @@ use crate::odometry::wheel::WheelSample;
 use crate::odometry::{LaserOdometry, MatchedPoints, OdometryCounters, Registration};
 use crate::scan::{Scan, ScanConverter};
 use crate::time::Stamp;
-use crate::transforms::{Mount, TransformTree, frame_name};
+use crate::transforms::{Mount, TiltedMount, TransformTree};
 
 /// A quaternion whose length is farther from 1 than this is a mistake of its sender, not rounding.
 const QUATERNION_TOLERANCE: f64 = 0.1;
-/// A mount that moves by less than this (m, rad) has not moved.
-const MOUNT_TOLERANCE: f64 = 1e-6;
+/// A mount that moves by more than this (m, rad) between two scans is worth a remark: no laser shakes that much on its bracket.
+const MOUNT_JUMP: f64 = 0.02;
 
 /// A message that cannot be used. The application goes on as if it had not come.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -170,6 +170,10 @@ pub struct App {
     transforms: TransformTree,
     mount: Mount,
     mount_source: MountSource,
+    /// The frame of the last scan, and where on the base it was.
+    last_mount: Option<(String, Pose2)>,
+    mount_jumped: bool,
+    remarks: Vec<String>,
     counters: Counters,
 }
 
@@ -187,8 +191,11 @@ impl App {
             odometry: LaserOdometry::new(&config.odometry, &config.matching, &config.rejection),
             converter: ScanConverter::default(),
             transforms: TransformTree::default(),
-            mount: Mount { base_from_laser: parameter.unwrap_or_default(), upside_down: false },
+            mount: Mount { base_from_laser: parameter.unwrap_or_default(), ..Mount::default() },
             mount_source: if parameter.is_some() { MountSource::Parameter } else { MountSource::Assumed },
+            last_mount: None,
+            mount_jumped: false,
+            remarks: Vec::new(),
             counters: Counters::default(),
         })
     }
@@ -249,20 +256,26 @@ impl App {
         let stamp = header.stamp.into();
         self.counters.scans += 1;
         let task = Task { contract: self.contract, arrival, taken_up: self.clock.now() };
-        self.update_mount(&header.frame_id);
-        let scan = convert(self);
+        let tilted = self.update_mount(&header.frame_id).map_err(|tilted| tilted.to_string());
+        let scan = tilted.and_then(|()| convert(self).map_err(|problem| format!("malformed scan: {problem}")));
+        self.remarks.extend(self.converter.take_oddities().iter().map(ToString::to_string));
         let mut driver = Driver::new(task, &*self.clock, &*self.interrupt, &mut self.costs);
         let registration = match scan {
             Ok(scan) => self.odometry.register(&scan, &self.mount.base_from_laser, &mut driver),
             Err(problem) => {
                 self.counters.malformed_scans += 1;
-                self.odometry.answer_unusable(stamp, format!("malformed scan: {problem}"))
+                self.odometry.answer_unusable(stamp, problem)
             }
         };
         let refined = driver.refined();
         let elapsed = self.clock.now().saturating_sub(arrival);
         let (contract, expected_error) = (self.contract, self.expected_error());
         Estimate { stamp, registration, contract, expected_error, elapsed, arrival, refined }
+    }
+
+    /// What is odd in the messages so far and was not said before; each kind of it is said once.
+    pub fn take_remarks(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.remarks)
     }
 
     /// To be called once the pose of `estimate` has been handed over: takes the time.
@@ -420,23 +433,30 @@ impl App {
         result
     }
 
-    fn update_mount(&mut self, laser_frame: &str) {
-        if self.mount_source == MountSource::Parameter {
-            return;
-        }
-        let base_frame = &self.config.frames.base_frame;
-        let Some(mount) = self.transforms.mount(base_frame, laser_frame) else { return };
-        let known = frame_name(base_frame) == frame_name(laser_frame) || self.transforms.parent(laser_frame).is_some();
-        if known {
-            self.mount_source = MountSource::Transforms;
-        }
-        let motion = self.mount.base_from_laser.between(&mount.base_from_laser);
-        if motion.distance() > MOUNT_TOLERANCE
-            || motion.theta.abs() > MOUNT_TOLERANCE
-            || mount.upside_down != self.mount.upside_down
-        {
+    /// Where the laser of this scan is on the base: every scan has its own place, which may move.
+    fn update_mount(&mut self, laser_frame: &str) -> Result<(), TiltedMount> {
+        let parameter = self.config.odometry.laser_in_base;
+        if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter)? {
             self.mount = mount;
-            self.odometry.forget_reference();
+            if parameter.is_none() {
+                self.mount_source = MountSource::Transforms;
+            }
+        }
+        self.note_mount_jump(laser_frame);
+        Ok(())
+    }
+
+    fn note_mount_jump(&mut self, laser_frame: &str) {
+        let place = self.mount.base_from_laser;
+        let before = self.last_mount.replace((laser_frame.into(), place)).filter(|(frame, _)| frame == laser_frame);
+        let Some(motion) = before.map(|(_, before)| before.between(&place)) else { return };
+        if !self.mount_jumped && (motion.distance() > MOUNT_JUMP || motion.theta.abs() > MOUNT_JUMP) {
+            self.mount_jumped = true;
+            let (distance, degrees) = (motion.distance(), motion.theta.to_degrees());
+            self.remarks.push(format!(
+                "by tf the laser '{laser_frame}' moved on the base by {distance:.3} m and {degrees:.1} degrees from one scan to the next: \
+                 poses follow tf (is it published by one node only?)"
+            ));
         }
     }
 }

@@ -15,16 +15,15 @@ pub struct Observation {
 }
 
 impl Observation {
-    /// Up to `beams` beams, evenly spread. `readings` are those of the message, of which `scan` keeps measurements only: here,
-    /// that nothing is within reach (`inf`, REP 117) says something too.
-    pub fn new(scan: &Scan, readings: &[f32], beams: usize) -> Self {
+    /// Up to `beams` beams, evenly spread. That nothing is within reach says something too.
+    pub fn new(scan: &Scan, beams: usize) -> Self {
         let beams = beams.min(scan.len());
         let (mut angles, mut ranges) = (Vec::with_capacity(beams), Vec::with_capacity(beams));
         let mut order: Vec<usize> = (0..beams).collect();
         order.sort_by_key(|k| k.reverse_bits());
         for ray in order.into_iter().map(|k| (2 * k + 1) * scan.len() / (2 * beams)) {
             let range = scan.ranges()[ray];
-            let nothing_there = readings.get(ray) == Some(&f32::INFINITY);
+            let nothing_there = scan.saw_nothing(ray);
             if nothing_there || !range.is_nan() {
                 angles.push(scan.beams().angle(ray));
                 ranges.push(if nothing_there { f64::INFINITY } else { range });
@@ -64,7 +63,7 @@ mod tests {
             (0.1, 30.0),
             (0..1081).map(|i| 1.0 + 0.01 * f64::from(i)).collect::<Vec<_>>(),
         );
-        let observation = Observation::new(&scan.unwrap(), &[], 60);
+        let observation = Observation::new(&scan.unwrap(), 60);
         for first in [4, 8, 15, 30, 60] {
             let mut ranges = observation.ranges[..first].to_vec();
             ranges.sort_by(f64::total_cmp);

@@ -217,7 +217,7 @@ mod tests {
         };
         let ranges: Vec<f64> = (0..beams.len()).map(range).collect();
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), ranges).unwrap();
-        let scan = if turn == 0.0 { scan } else { scan.undistorted(&Twist2 { omega: turn, ..Twist2::default() }, 1.0) };
+        let scan = if turn == 0.0 { scan } else { scan.undistorted(&Twist2 { omega: turn, ..Twist2::default() }, 0.0, 1.0) };
         let mut surfaces = Vec::new();
         LineFitter::default().fit(&scan, 0.01, &mut surfaces);
         View::new(scan, surfaces)

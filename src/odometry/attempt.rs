@@ -48,6 +48,8 @@ pub(super) struct Attempt {
     pub(super) prediction: Prediction,
     /// What odometry says of that motion, believed or not.
     pub(super) said: Option<Prediction>,
+    /// What the IMU says of its turn, believed or not, rad, and the standard deviation.
+    pub(super) said_turn: Option<(f64, f64)>,
     /// Place of the laser on the base.
     pub(super) base_from_laser: Pose2,
 }
@@ -76,6 +78,12 @@ impl Attempt {
             doubtful_agreement: if turn > window.angle { f64::INFINITY } else { less_than_usual },
             ..window
         }
+    }
+
+    /// Where the base should be on the map, and how well that is known.
+    pub(super) fn predicted_base(&self) -> (Pose2, PoseCovariance) {
+        let (last, Prediction { motion, covariance }) = (&self.last, &self.prediction);
+        (last.map_from_base * *motion, uncertainty::compound(&last.map_from_base, &last.covariance, motion, covariance))
     }
 
     /// Where the laser should be.

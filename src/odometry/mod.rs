@@ -5,6 +5,7 @@
 //! laser. When a place is recognised, map and odom part: [`Registration::map_from_odom`].
 
 mod attempt;
+mod clock_step;
 mod drift;
 pub mod heading;
 mod local_map;
@@ -16,13 +17,14 @@ pub mod uncertainty;
 pub mod wheel;
 
 use crate::anytime::{Driver, ErrorEstimate, estimated_error};
-use crate::geometry::{Pose2, PoseCovariance, Twist2};
+use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
 use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
 use crate::scan::Scan;
 use crate::time::Stamp;
 use attempt::{Attempt, Last, Prediction};
+use clock_step::ClockStep;
 use heading::HeadingReading;
 use local_map::{LocalMap, Placement, Unrecognised};
 use loop_closure::{LoopCloser, Recognition, Sighting};
@@ -82,8 +84,9 @@ crate::knobs! {
         laser_in_base: Option<Pose2> = None, unit "m, m, rad";
         /// Whether to put rays that were taken one after the other where they belong.
         deskew: bool = true;
-        /// Time from the first ray of a scan to the last, where the driver's `time_increment` does not say; unset: as it says.
-        scan_duration: Option<Seconds> = None, in 0 to 1, unit "s";
+        /// Time from the first ray of a scan to the last, where the driver's `time_increment` does not say; unset: as it says. Less than
+        /// zero where the driver has put the rays in reverse order: the last one was taken first, at the stamp.
+        scan_duration: Option<Seconds> = None, in -1 to 1, unit "s";
         /// Pose of the base at the start, `[x, y, yaw]` in the map frame and in the odom frame.
         initial_pose: Pose2 = Pose2::IDENTITY, unit "m, m, rad";
         /// Longest wait for odometry that is more than 50 ms behind a scan; not longer than the time budget.
@@ -112,6 +115,8 @@ pub struct OdometryCounters {
     pub out_of_order_scans: u64,
     /// Runs that ended because time went back.
     pub time_jumps: u64,
+    /// Steps back of the clock after which the robot drove on.
+    pub clock_steps: u64,
     /// Wheel odometry messages with the stamp of the one before.
     pub duplicate_odometry: u64,
     /// Jumps of the wheel odometry.
@@ -120,6 +125,8 @@ pub struct OdometryCounters {
     pub without_odometry: u64,
     /// Scans whose motion was not predicted by the odometry there was, as the matches before had contradicted it.
     pub odometry_disbelieved: u64,
+    /// The same of the IMU.
+    pub imu_disbelieved: u64,
 }
 
 /// Laser odometry: scans and wheel odometry in, poses out.
@@ -129,6 +136,9 @@ pub struct LaserOdometry {
     sources: MotionSources,
     /// Whether what the sources say is believed.
     trust: Trust,
+    /// The same of the IMU.
+    imu_trust: Trust,
+    clock_step: ClockStep,
     /// A scan was answered before the odometry had come for it: it may have died, none is waited for until it is back.
     waited_in_vain: bool,
     map: LocalMap,
@@ -158,6 +168,8 @@ impl LaserOdometry {
             matcher: Matcher::new(matching, rejection).learning_noise(),
             sources: MotionSources::default(),
             trust: Trust::default(),
+            imu_trust: Trust::default(),
+            clock_step: ClockStep::default(),
             waited_in_vain: false,
             map: LocalMap::default(),
             map_from_odom: Pose2::IDENTITY,
@@ -206,7 +218,8 @@ impl LaserOdometry {
     pub fn restart_at(&mut self, map_from_base: Pose2) {
         self.forget_reference();
         self.usual_agreement = 1.0;
-        self.trust = Trust::default();
+        (self.trust, self.imu_trust) = Default::default();
+        self.clock_step = ClockStep::default();
         self.last = None;
         self.map_from_odom = Pose2::IDENTITY;
         self.start = map_from_base;
@@ -218,8 +231,8 @@ impl LaserOdometry {
         self.sources.clear();
     }
 
-    /// The laser has moved on the base: the next scan becomes a keyframe where the base is.
-    pub fn forget_reference(&mut self) {
+    /// The next scan is one that others are matched to.
+    fn forget_reference(&mut self) {
         self.unfinished = None;
         self.keyframe = None;
         self.map.clear();
@@ -232,7 +245,8 @@ impl LaserOdometry {
     pub fn add_wheel_sample(&mut self, sample: WheelSample) {
         self.waited_in_vain = false;
         match self.sources.push(sample) {
-            WheelEvent::Appended | WheelEvent::TimeJump => {}
+            WheelEvent::Appended => {}
+            WheelEvent::TimeJump { goes_on } => self.clock_step.drives_on = goes_on,
             WheelEvent::Duplicate => self.counters.duplicate_odometry += 1,
             WheelEvent::Reset => self.counters.odometry_resets += 1,
         }
@@ -272,10 +286,11 @@ impl LaserOdometry {
         }
         let undistorted = self.undistorted(scan, base_from_laser);
         let scan = undistorted.as_ref().unwrap_or(scan);
-        let Some(last) = self.last else { return self.answer_first(scan, base_from_laser) };
+        let Some(last) = self.last else { return self.answer_first(scan, base_from_laser, self.start, PoseCovariance::zeros()) };
         let attempt = self.attempt(last, scan.stamp(), base_from_laser);
         let Some(keyframe) = self.keyframe else {
-            return self.answer_predicted(scan, &attempt, None, "no reference scan".into(), false, true);
+            let (map_from_base, covariance) = attempt.predicted_base();
+            return self.answer_first(scan, base_from_laser, map_from_base, covariance);
         };
         let first_guess = keyframe.map_from_laser.between(&attempt.predicted_laser());
         let found = self.match_to(&keyframe, scan, &attempt, first_guess, driver);
@@ -289,7 +304,7 @@ impl LaserOdometry {
         if worth_finishing {
             self.unfinished = Some((scan.clone(), attempt, found.keyframe_from_laser));
         } else {
-            self.judge_odometry(&attempt, &found);
+            self.judge_sources(&attempt, &found);
         }
         match found.answer {
             Ok(answer) => self.conclude(scan, base_from_laser, answer, becomes_keyframe),
@@ -304,21 +319,32 @@ impl LaserOdometry {
     /// The scan without the distortion by the motion during its sweep, where there is any: at the velocity of the wheels, else of the
     /// last answers.
     fn undistorted(&self, scan: &Scan, base_from_laser: &Pose2) -> Option<Scan> {
-        let seconds = self.knobs.scan_duration.map_or(scan.sweep_duration(), |duration| duration.0);
-        if !self.knobs.deskew || seconds <= 0.0 || seconds > LONGEST_SWEEP {
+        let (first_ray, sweep) = self.sweep(scan);
+        let seconds = sweep.abs();
+        if !self.knobs.deskew || seconds == 0.0 || seconds > LONGEST_SWEEP {
             return None;
         }
-        let by_wheels = self.sources.motion(scan.stamp(), scan.stamp().offset_by(seconds)).filter(|_| self.trust.is_given());
+        let start = scan.stamp().offset_by(first_ray.min(first_ray + sweep));
+        let by_wheels = self.sources.motion(start, start.offset_by(seconds)).filter(|_| self.trust.is_given());
         let motion = by_wheels.or_else(|| Some(self.last?.twist.motion(seconds)))?;
         let laser_motion = base_from_laser.inverse() * motion * *base_from_laser;
-        Some(scan.undistorted(&Twist2::of_motion(&laser_motion, seconds), seconds))
+        Some(scan.undistorted(&Twist2::of_motion(&laser_motion, seconds), first_ray, sweep))
+    }
+
+    /// When the first ray was taken, after the scan's stamp, and the last one after it, s. The message says it of its first ray; the
+    /// parameter, less than zero, that the last one came first, at the stamp.
+    fn sweep(&self, scan: &Scan) -> (f64, f64) {
+        match self.knobs.scan_duration {
+            Some(Seconds(sweep)) => ((-sweep).max(0.0), sweep),
+            None => (0.0, scan.sweep_duration()),
+        }
     }
 
     /// Finishes the match of the last scan, if its answer had to be given before: what follows is predicted from the better pose.
     pub fn finish(&mut self, driver: &mut Driver) {
         let (Some((scan, attempt, reached)), Some(keyframe)) = (self.unfinished.take(), self.keyframe) else { return };
         let found = self.match_to(&keyframe, &scan, &attempt, reached, driver);
-        self.judge_odometry(&attempt, &found);
+        self.judge_sources(&attempt, &found);
         let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
         if let Ok(answer) = found.answer {
             // As if this had been the answer; a keyframe stays one.
@@ -467,11 +493,16 @@ impl LaserOdometry {
         let last = self.last?;
         let seconds = stamp.seconds_since(last.stamp);
         if seconds > 0.0 {
+            self.clock_step.late = None;
             return None;
         }
-        if seconds < -NEW_RUN {
+        if seconds < -NEW_RUN && !self.clock_step.drives_on && !self.odometry_may_go_on(stamp) {
             self.counters.time_jumps += 1;
             self.restart_at(self.knobs.initial_pose);
+            return None;
+        }
+        if let Some(late) = self.clock_step.begun_by(stamp) {
+            self.set_clock_back(late, stamp);
             return None;
         }
         let problem = if seconds == 0.0 {
@@ -479,11 +510,28 @@ impl LaserOdometry {
             "its stamp is that of the scan before: the same answer again".into()
         } else {
             self.counters.out_of_order_scans += 1;
+            self.clock_step.late = Some(stamp);
             format!("its stamp is {:.3} s before that of the last scan: out of order", -seconds)
         };
         self.counters.predicted += 1;
         let answer = self.registration(Outcome::Predicted(problem), last.map_from_base, &last.covariance);
         Some(Registration { twist: last.twist, ..answer })
+    }
+
+    /// Whether this is the first scan of an earlier time, and odometry has yet to say where the robot is at that time.
+    fn odometry_may_go_on(&self, stamp: Stamp) -> bool {
+        let last_heard = self.sources.last_wheel_stamp();
+        self.clock_step.late.is_none() && last_heard.is_some_and(|last| stamp.seconds_since(last) < -NEW_RUN)
+    }
+
+    /// Stamps go on in order from an earlier time: somebody has set the clock. The robot drives on from where it was, about as long
+    /// before the first scan of the new time as the second one, `stamp`, is after it.
+    fn set_clock_back(&mut self, first: Stamp, stamp: Stamp) {
+        self.counters.clock_steps += 1;
+        self.clock_step = ClockStep::default();
+        if let Some(last) = &mut self.last {
+            last.stamp = first.offset_by(first.seconds_since(stamp));
+        }
     }
 
     /// An answer of which no more is known than this, in terms of the map.
@@ -503,16 +551,23 @@ impl LaserOdometry {
         }
     }
 
-    fn answer_first(&mut self, scan: &Scan, base_from_laser: &Pose2) -> Registration {
+    /// The first scan that others can be matched to.
+    fn answer_first(
+        &mut self,
+        scan: &Scan,
+        base_from_laser: &Pose2,
+        map_from_base: Pose2,
+        covariance: PoseCovariance,
+    ) -> Registration {
         let answer = Answer {
             outcome: Outcome::First,
             is_lost: false,
-            map_from_base: self.start,
-            covariance: PoseCovariance::zeros(),
-            step_covariance: PoseCovariance::zeros(),
+            map_from_base,
+            covariance,
+            step_covariance: covariance,
             refinement: None,
-            predicted_error: ErrorEstimate::default(),
-            estimated_error: ErrorEstimate::default(),
+            predicted_error: ErrorEstimate::of_covariance(&covariance),
+            estimated_error: ErrorEstimate::of_covariance(&covariance),
         };
         self.conclude(scan, base_from_laser, answer, true)
     }
@@ -528,14 +583,15 @@ impl LaserOdometry {
         becomes_keyframe: bool,
         is_lost: bool,
     ) -> Registration {
-        let Attempt { last, prediction: Prediction { motion, covariance }, base_from_laser, .. } = attempt;
+        let Attempt { last, prediction: Prediction { covariance, .. }, base_from_laser, .. } = attempt;
         self.counters.predicted += 1;
         let error = ErrorEstimate::of_covariance(covariance);
+        let (map_from_base, pose_covariance) = attempt.predicted_base();
         let answer = Answer {
             outcome: Outcome::Predicted(problem),
             is_lost,
-            map_from_base: last.map_from_base * *motion,
-            covariance: uncertainty::compound(&last.map_from_base, &last.covariance, motion, covariance),
+            map_from_base,
+            covariance: pose_covariance,
             step_covariance: uncertainty::turned(covariance, last.map_from_base.theta),
             refinement,
             predicted_error: error,
@@ -554,49 +610,64 @@ impl LaserOdometry {
         }
         self.counters.predicted += 1;
         let (map_from_base, covariance, prediction) = match self.last {
-            Some(last) => (last.map_from_base, last.covariance, self.predict(&last, stamp).0),
+            Some(last) => (last.map_from_base, last.covariance, self.predict(&last, stamp)),
             None => (self.start, PoseCovariance::zeros(), Prediction::NONE),
         };
         let Prediction { motion, covariance: motion_covariance } = prediction;
         let covariance = uncertainty::compound(&map_from_base, &covariance, &motion, &motion_covariance);
+        let map_from_base = map_from_base * motion;
         let error = ErrorEstimate::of_covariance(&motion_covariance);
-        // The last answer stays as it is: the next scan's prediction starts from the last scan there was.
+        let twist = self.last.map(|last| last.twist).unwrap_or_default();
+        // The next scan's prediction starts from the last scan there was; where there was none, from here.
+        if self.keyframe.is_none() && self.upcoming_keyframe.is_none() {
+            self.last = Some(Last { stamp, map_from_base, map_from_laser: map_from_base, covariance, seen_twist: twist, twist });
+        }
         Registration {
-            twist: self.last.map(|last| last.twist).unwrap_or_default(),
+            twist,
             predicted_error: error,
             estimated_error: error,
-            ..self.registration(Outcome::Predicted(problem), map_from_base * motion, &covariance)
+            ..self.registration(Outcome::Predicted(problem), map_from_base, &covariance)
         }
     }
 
     /// What is known of the pose of a scan taken at `stamp`.
     fn attempt(&mut self, last: Last, stamp: Stamp, base_from_laser: &Pose2) -> Attempt {
-        let (prediction, said) = self.predict(&last, stamp);
-        Attempt { last, prediction, said, base_from_laser: *base_from_laser }
+        let prediction = self.predict(&last, stamp);
+        let said = self.sources.motion_without_imu(last.stamp, stamp);
+        let said = said.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion) });
+        let said_turn = self.sources.turn_by_imu(last.stamp, stamp);
+        Attempt { last, prediction, said, said_turn, base_from_laser: *base_from_laser }
     }
 
-    /// The motion of the base since the last answer: by what says so, where that is believed, else at constant velocity; and what was
-    /// said of it.
-    fn predict(&mut self, last: &Last, stamp: Stamp) -> (Prediction, Option<Prediction>) {
+    /// The motion of the base since the last answer: by what says so, where that is believed, else at constant velocity.
+    fn predict(&mut self, last: &Last, stamp: Stamp) -> Prediction {
         self.waited_in_vain = self.sources.is_behind(stamp);
-        let said = self.sources.motion(last.stamp, stamp);
-        let said = said.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion) });
+        self.sources.believe_imu(self.imu_trust.is_given());
+        let said = self.sources.motion_without_imu(last.stamp, stamp);
         let believed = said.filter(|_| self.trust.is_given());
         self.counters.without_odometry += u64::from(said.is_none());
         self.counters.odometry_disbelieved += u64::from(said.is_some() && believed.is_none());
+        self.counters.imu_disbelieved += u64::from(!self.imu_trust.is_given());
         let seconds = stamp.seconds_since(last.stamp);
-        let Prediction { motion, covariance } = believed.unwrap_or_else(|| Prediction {
+        let constant_velocity = || Prediction {
             motion: if seconds <= MAX_PREDICTION_GAP { last.twist.motion(seconds) } else { Pose2::IDENTITY },
             covariance: uncertainty::of_constant_velocity(seconds),
-        });
+        };
+        let by_odometry = believed.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion) });
+        let Prediction { motion, covariance } = by_odometry.unwrap_or_else(constant_velocity);
         let (motion, covariance) = self.sources.with_heading(motion, covariance, last.stamp, stamp);
-        (Prediction { motion, covariance }, said)
+        Prediction { motion, covariance }
     }
 
-    /// What a match that is done makes of what odometry said; a scan that was not matched says nothing.
-    fn judge_odometry(&mut self, attempt: &Attempt, found: &Found) {
-        if let (Some(said), Ok(answer)) = (&attempt.said, &found.answer) {
-            self.trust.judge(said, &attempt.last.map_from_base.between(&answer.map_from_base));
+    /// What a match that is done makes of what each source said; a scan that was not matched says nothing.
+    fn judge_sources(&mut self, attempt: &Attempt, found: &Found) {
+        let Ok(answer) = &found.answer else { return };
+        let motion = attempt.last.map_from_base.between(&answer.map_from_base);
+        if let Some(said) = &attempt.said {
+            self.trust.judge(trust::deviation(said, &motion));
+        }
+        if let Some((turn, deviation)) = attempt.said_turn {
+            self.imu_trust.judge(wrap_angle(motion.theta - turn).abs() / deviation);
         }
     }
 

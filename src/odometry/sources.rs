@@ -3,10 +3,11 @@
 //! The better one goes first: transforms of another node, the heading of an IMU, wheel odometry, a velocity. Where there is none,
 //! the robot is taken to go on as it did.
 
-use crate::geometry::{Pose2, PoseCovariance, Twist2};
+use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
 use crate::time::Stamp;
 
 use super::heading::{Heading, HeadingReading};
+use super::trust::CONTRADICTING;
 use super::wheel::{WheelEvent, WheelOdometry, WheelSample};
 
 /// A velocity that is older than this says nothing about a scan, s.
@@ -21,6 +22,8 @@ const HEADING_SCALE_ERROR: f64 = 0.02;
 pub struct MotionSources {
     transforms: WheelOdometry,
     heading: Heading,
+    /// The matches contradict the IMU: its turns are not used.
+    heading_disbelieved: bool,
     wheels: WheelOdometry,
     /// With the stamp of the last scan before it came: velocities have none of their own.
     velocity: Option<(Stamp, Twist2)>,
@@ -57,12 +60,37 @@ impl MotionSources {
         self.wheels.is_behind(stamp) || self.transforms.is_due(stamp) || self.heading.is_due(stamp)
     }
 
+    /// The stamp of the last message of wheel odometry.
+    pub fn last_wheel_stamp(&self) -> Option<Stamp> {
+        self.wheels.last_stamp()
+    }
+
     /// The motion of the base from one time to another, seen from the first; `None` where nothing covers it.
     pub fn motion(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
-        self.transforms.motion(from, to).or_else(|| {
-            let motion = self.wheels.motion(from, to).or_else(|| self.by_velocity(from, to))?;
-            Some(self.heading.turn(from, to).map_or(motion, |turn| with_turn(&motion, turn)))
-        })
+        let motion = self.motion_without_imu(from, to)?;
+        let turn = self.believed_turn(from, to).filter(|_| self.transforms.motion(from, to).is_none());
+        Some(turn.map_or(motion, |turn| with_turn(&motion, turn)))
+    }
+
+    /// The same by all but the IMU.
+    pub fn motion_without_imu(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
+        let by_wheels = || self.wheels.motion(from, to).or_else(|| self.by_velocity(from, to));
+        self.transforms.motion(from, to).or_else(by_wheels)
+    }
+
+    /// What the IMU says of the turn from one time to another, believed or not, rad, and its standard deviation.
+    pub fn turn_by_imu(&self, from: Stamp, to: Stamp) -> Option<(f64, f64)> {
+        let turn = self.heading.turn(from, to)?;
+        Some((turn, HEADING_ERROR + HEADING_SCALE_ERROR * turn.abs()))
+    }
+
+    /// Whether to use the IMU's turns.
+    pub fn believe_imu(&mut self, believed: bool) {
+        self.heading_disbelieved = !believed;
+    }
+
+    fn believed_turn(&self, from: Stamp, to: Stamp) -> Option<f64> {
+        if self.heading_disbelieved { None } else { self.heading.turn(from, to) }
     }
 
     fn by_velocity(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
@@ -70,12 +98,18 @@ impl MotionSources {
         (to.seconds_since(after) <= OLDEST_VELOCITY).then(|| twist.motion(to.seconds_since(from)))
     }
 
-    /// A motion that was predicted some other way, with the IMU's turn where that is known better.
+    /// A motion that was predicted some other way, with the IMU's turn where that is known better. Where the two contradict one another,
+    /// one of them is wrong, and the heading is known no better than that.
     pub fn with_heading(&self, motion: Pose2, covariance: PoseCovariance, from: Stamp, to: Stamp) -> (Pose2, PoseCovariance) {
-        let turn = self.heading.turn(from, to).filter(|_| self.transforms.motion(from, to).is_none());
+        let turn = self.believed_turn(from, to).filter(|_| self.transforms.motion(from, to).is_none());
         let Some(turn) = turn else { return (motion, covariance) };
         let deviation = HEADING_ERROR + HEADING_SCALE_ERROR * turn.abs();
         let mut known = covariance;
+        let difference = wrap_angle(turn - motion.theta);
+        if difference.abs() > CONTRADICTING * covariance[(2, 2)].sqrt().hypot(deviation) {
+            known[(2, 2)] = difference * difference;
+            return (motion, known);
+        }
         known[(2, 2)] = known[(2, 2)].min(deviation * deviation);
         (with_turn(&motion, turn), known)
     }

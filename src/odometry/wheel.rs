@@ -35,7 +35,10 @@ pub enum WheelEvent {
     /// It has the stamp of the one before and was left out.
     Duplicate,
     /// Time went back: earlier samples are forgotten.
-    TimeJump,
+    TimeJump {
+        /// Whether the pose is where it was: the clock was set, and the robot drives on.
+        goes_on: bool,
+    },
     /// The pose jumped: motions across the jump are not known.
     Reset,
 }
@@ -52,7 +55,7 @@ impl WheelOdometry {
         let event = self.samples.back().map_or(WheelEvent::Appended, |last| classify(last, &sample));
         match event {
             WheelEvent::Duplicate => return event,
-            WheelEvent::TimeJump | WheelEvent::Reset => self.samples.clear(),
+            WheelEvent::TimeJump { .. } | WheelEvent::Reset => self.samples.clear(),
             WheelEvent::Appended => {}
         }
         if self.samples.len() == CAPACITY {
@@ -65,6 +68,11 @@ impl WheelOdometry {
     /// Forgets everything.
     pub fn clear(&mut self) {
         self.samples.clear();
+    }
+
+    /// The stamp of the last message.
+    pub fn last_stamp(&self) -> Option<Stamp> {
+        self.samples.back().map(|last| last.stamp)
     }
 
     /// Whether there is odometry, and none yet that says where the base is at `stamp`.
@@ -114,7 +122,7 @@ fn classify(last: &WheelSample, sample: &WheelSample) -> WheelEvent {
     let seconds = sample.stamp.seconds_since(last.stamp);
     let distance = last.pose.between(&sample.pose).distance();
     if seconds < 0.0 {
-        WheelEvent::TimeJump
+        WheelEvent::TimeJump { goes_on: distance < MAX_JUMP }
     } else if seconds == 0.0 {
         WheelEvent::Duplicate
     } else if distance > MAX_JUMP && distance > MAX_SPEED * seconds {
@@ -163,7 +171,8 @@ mod tests {
         assert_eq!(odometry.push(sample(1.0, 0.1)), WheelEvent::Duplicate);
         assert_eq!(odometry.push(sample(1.1, 10.0)), WheelEvent::Reset);
         assert_eq!(motion(&odometry, 1.0, 1.1), None, "no motion is known across a reset");
-        assert_eq!(odometry.push(sample(0.5, 10.0)), WheelEvent::TimeJump);
-        assert_eq!(odometry.push(sample(3.5, 19.0)), WheelEvent::Appended, "a long way after a long gap is a gap");
+        assert_eq!(odometry.push(sample(0.5, 10.0)), WheelEvent::TimeJump { goes_on: true });
+        assert_eq!(odometry.push(sample(0.2, 0.0)), WheelEvent::TimeJump { goes_on: false });
+        assert_eq!(odometry.push(sample(3.2, 9.0)), WheelEvent::Appended, "a long way after a long gap is a gap");
     }
 }

@@ -138,6 +138,7 @@ trait Listener {
     }
     /// How long to hold back a scan for odometry that it needs.
     fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration>;
+    fn take_remarks(&mut self) -> Vec<String>;
 }
 
 macro_rules! listener {
@@ -151,6 +152,9 @@ macro_rules! listener {
             }
             fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
                 Self::wait_for_odometry(self, stamp)
+            }
+            fn take_remarks(&mut self) -> Vec<String> {
+                Self::take_remarks(self)
             }
             $(fn $method(&mut self, message: &$message) -> Result<(), InputError> {
                 Self::$method(self, message)
@@ -198,6 +202,7 @@ fn feed<L: Listener, E>(
     if let Some(scan) = held {
         answer(&scan.message, listener, &mut log)?;
     }
+    log.problems.extend(listener.take_remarks());
     Ok(log)
 }
 

@@ -67,8 +67,10 @@ impl Ending {
             (self.counters.duplicate_scans, "scans with the stamp of the one before"),
             (self.counters.out_of_order_scans, "scans out of order"),
             (self.counters.time_jumps, "jumps back in time (each started a new run)"),
+            (self.counters.clock_steps, "steps back of the clock (each went on from the last pose)"),
             (self.counters.duplicate_odometry, "odometry messages with the stamp of the one before"),
             (self.counters.odometry_resets, "jumps of the odometry"),
+            (self.counters.imu_disbelieved, "scans predicted without the IMU, which the scans before had contradicted"),
             (self.counters.odometry_disbelieved, "scans predicted without the odometry, which the scans before had contradicted"),
         ];
         problems.extend(counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")));

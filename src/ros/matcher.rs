@@ -204,6 +204,9 @@ impl Matcher {
             self.reader.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
         }
         self.watch_mount();
+        for remark in self.app.take_remarks() {
+            self.log.warn(&format!("scan: {remark}"));
+        }
         self.monitor.record((&estimate).into());
     }
 

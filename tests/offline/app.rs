@@ -368,15 +368,13 @@ fn malformed_scans_are_said_to_be_and_answered() {
     for i in 0..3 {
         answer(&mut app, &scan_at(f64::from(i) * 0.1, way(f64::from(i) * 0.1)));
     }
-    let spoils: [(&str, Spoil); 11] = [
+    let spoils: [(&str, Spoil); 9] = [
         ("angle_increment is 0", |s| s.angle_increment = 0.0),
         ("angle_min is NaN", |s| s.angle_min = f32::NAN),
         ("range_min is inf", |s| s.range_min = f32::INFINITY),
         ("0 ranges", |s| s.ranges.clear()),
         ("5 ranges", |s| s.ranges.truncate(5)),
         ("1000000 ranges", |s| s.ranges.resize(1_000_000, 1.0)),
-        ("300 ranges, but angle_min", |s| s.ranges.truncate(300)),
-        ("361 ranges but 7 intensities", |s| s.intensities = vec![1.0; 7]),
         ("more than a full turn", |s| {
             s.angle_increment = 0.1;
             s.angle_max = s.angle_min + 36.0;
@@ -392,9 +390,36 @@ fn malformed_scans_are_said_to_be_and_answered() {
         assert!(reason(&estimate).contains("malformed scan") && reason(&estimate).contains(text), "{}", reason(&estimate));
         assert!(estimate.registration.odom_from_base.is_finite());
     }
-    assert_eq!(app.counters().malformed_scans, 11);
+    assert_eq!(app.counters().malformed_scans, 9);
     let estimate = answer(&mut app, &scan_at(0.35, way(0.3)));
     assert!(estimate.registration.outcome.is_ok(), "the next good scan is matched: {:?}", estimate.registration.outcome);
+}
+
+#[test]
+fn what_matching_does_not_need_is_said_once_and_refuses_no_scan() {
+    let mut app = app(&[]);
+    let oddities: [(&str, Spoil); 5] = [
+        ("300 ranges, but angle_min", |s| s.ranges.truncate(300)),
+        ("361 ranges but 7 intensities", |s| s.intensities = vec![1.0; 7]),
+        ("scan_time is NaN", |s| s.scan_time = f32::NAN),
+        ("time_increment is inf", |s| s.time_increment = f32::INFINITY),
+        ("carry a range of about 8.00 m", |s| {
+            s.ranges.iter_mut().filter(|range| **range > 4.5).for_each(|range| *range = 8.0);
+        }),
+    ];
+    answer(&mut app, &scan_at(0.0, way(0.0)));
+    for (i, (text, spoil)) in oddities.iter().enumerate() {
+        for half in [0.0, 0.05] {
+            let seconds = 0.1 + i as f64 * 0.1 + half;
+            let mut message = scan_at(seconds, way(seconds));
+            spoil(&mut message);
+            let estimate = answer(&mut app, &message);
+            assert!(estimate.registration.outcome.is_ok(), "{text}: {:?}", estimate.registration.outcome);
+            let remarks = app.take_remarks();
+            let expected = usize::from(half == 0.0);
+            assert_eq!(remarks.iter().filter(|remark| remark.contains(text)).count(), expected, "{text}: {remarks:?}");
+        }
+    }
 }
 
 #[test]

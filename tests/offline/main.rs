@@ -5,6 +5,7 @@
 
 mod app;
 mod bag;
+mod cases;
 #[path = "../common/mod.rs"]
 mod common;
 mod contract;

@@ -126,7 +126,8 @@ fn bags_that_are_no_good_are_named_with_the_remedy() {
     failure(&["replay", "bags/demo.bag", "--time-budget", "soon"], 2);
 }
 
-/// An IMU that says the robot turns, although it stands still: by one step of the classic kind the heading shows who was heard.
+/// An IMU that says the robot turns, although it stands still: by one step of the classic kind the headings show who was heard, until
+/// the IMU is believed no more.
 #[test]
 fn the_bags_imu_predicts() {
     let folder = tempfile::tempdir().unwrap();
@@ -147,7 +148,8 @@ fn the_bags_imu_predicts() {
             ["--set", "matching.correspondence=jump_table", "--set", "matching.max_iterations=1", "--set", "odometry.max_wait=0"];
         let files = ["replay", bag.to_str().unwrap(), "--json", "--tum", tum.to_str().unwrap()];
         let summary = json(&[&files[..], &settings, more].concat());
-        (numbers(&tum).last().unwrap()[6].abs(), summary["problems"].to_string())
+        let most = numbers(&tum).iter().map(|pose| pose[6].abs()).fold(0.0, f64::max);
+        (most, summary["problems"].to_string())
     };
     let ((with, problems), (without, _)) = (heading(&["--imu-topic", "/imu"]), heading(&[]));
     assert!(without < 1e-6 && with > 1e-6, "{without} {with}");

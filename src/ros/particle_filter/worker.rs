@@ -289,6 +289,9 @@ impl Worker {
             self.publishers.publish_display(localizer, &scan, &belief.map_from_base);
         }
         let mount_assumed = localizer.mount().1 == MountSource::Assumed;
+        for remark in localizer.take_remarks() {
+            self.log.warn(&format!("scan: {remark}"));
+        }
         self.watch(&fix, mount_assumed);
     }
 
