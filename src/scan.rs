@@ -15,6 +15,8 @@ use crate::time::Stamp;
 pub const MIN_BEAMS: usize = 10;
 /// Most beams a scan may have.
 pub const MAX_BEAMS: usize = 10_000;
+/// A shorter range cannot be told from none, m: five standard deviations of what lasers usually err by. A laser in a wall sees such.
+pub const SHORTEST_RANGE: f64 = 0.05;
 /// Least part of the rays that must carry a measurement.
 pub const MIN_VALID_FRACTION: f64 = 0.1;
 /// A sweep may exceed a full turn by a beam, which then looks where the first one does, and by this much, rad: the rounding of the
@@ -211,7 +213,7 @@ pub struct Scan {
 
 impl Scan {
     /// A scan from ranges in metres. A ray saw nothing (REP 117) when its range is above `range_max`. It is without a measurement when its
-    /// range is NaN, not positive, below `range_min`, or minus infinity.
+    /// range is NaN, below `range_min` or [`SHORTEST_RANGE`], or minus infinity.
     pub fn new(
         stamp: Stamp,
         beams: Arc<BeamGeometry>,
@@ -222,7 +224,7 @@ impl Scan {
         let ranges: Vec<f64> = ranges
             .into_iter()
             .map(|range| {
-                let measured = range.is_finite() && range > 0.0 && range >= range_min && range <= range_max;
+                let measured = range.is_finite() && range >= range_min.max(SHORTEST_RANGE) && range <= range_max;
                 valid += usize::from(measured);
                 nothing_seen.push(range > range_max || range == f64::INFINITY);
                 if measured { range } else { f64::NAN }
