@@ -11,7 +11,7 @@ use clap::Args;
 /// Turn a CARMEN log into a bag
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// The log: lines of FLASER or ROBOTLASER1, and ODOM; packed with bzip2 or not
+    /// The log: lines of FLASER, ROBOTLASER1 or RAWLASER1, and ODOM; packed with bzip2 or gzip, or not
     #[arg(value_name = "IN.clf")]
     log: PathBuf,
     /// The bag to write, with scans, odometry, and where the laser sits
@@ -41,11 +41,14 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     }
     let where_from = match log.mount() {
         Mount::Scans(_) => None,
-        Mount::Parameter(pose) => Some(format!("{} m ahead of base_link, as PARAM says", pose.x)),
-        Mount::Unknown => Some("taken to be at base_link".into()),
+        Mount::Parameter(pose) => {
+            Some(format!("{} m ahead of base_link, as PARAM says: the scans tell no fixed place on the robot", pose.x))
+        }
+        Mount::Untold => Some("taken to be at base_link: the scans carry no poses".into()),
+        Mount::Unknown => Some("taken to be at base_link: its poses in the scans are no fixed place on the robot".into()),
     };
     if let Some(where_from) = where_from {
-        write!(text, "\nlaser {where_from}: its poses in the scans are no fixed place on the robot")?;
+        write!(text, "\nlaser {where_from}")?;
     }
     if let Some((line, problem)) = log.damaged.first() {
         write!(text, "\n{} damaged lines left out; the first: {}:{line}: {problem}", log.damaged.len(), path.display())?;
