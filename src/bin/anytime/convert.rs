@@ -8,6 +8,8 @@ use anytime_scan_matcher::io::carmen::{CarmenLog, Mended, Mount, record};
 use anytime_scan_matcher::knobs::KnobValue;
 use clap::Args;
 
+use crate::input_flags::Files;
+
 /// Turn a CARMEN log into a bag
 #[derive(Args)]
 pub(crate) struct Arguments {
@@ -32,8 +34,9 @@ fn field_of_view(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { log: path, out, fov, compression } = arguments;
+    Files::default().read("the log", Some(path)).written("the bag", Some(out)).check()?;
     let log = CarmenLog::read(path, *fov)?;
-    record::record(&log, BagWriter::create(out, *compression)?)?;
+    record::record(&log, BagWriter::create_whole(out, *compression)?)?;
     let mut text = format!("{}: {} scans", out.display(), log.scans.len());
     if log.mended.count > 0 {
         let Mended { count, most } = log.mended;

@@ -1,7 +1,5 @@
 //! `anytime simulate`.
 
-use std::fs::File;
-use std::io::{BufWriter, Write, sink};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -9,11 +7,13 @@ use anytime_scan_matcher::io::bag::{BagWriter, Compression};
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::io::{map_file, simulated_bag};
 use anytime_scan_matcher::knobs::KnobValue;
+use anytime_scan_matcher::output;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{DriveKnobs, Settings};
 use anytime_scan_matcher::simulation::scene::Scene;
 use clap::Args;
 
+use crate::input_flags::Files;
 use crate::knob_flags::help;
 use crate::simulation_flags::SimulationFlags;
 
@@ -40,6 +40,11 @@ pub(crate) struct Arguments {
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { world, out, truth, compression, seed, flags } = arguments;
+    Files::default()
+        .read("--world", Some(Path::new(world)))
+        .written("--out", Some(out))
+        .written("--truth", truth.as_deref())
+        .check()?;
     let scans = drive(world, &flags.settings(*seed)?, out, *compression, truth.as_deref())?;
     Ok(format!("{}: {scans} scans", out.display()))
 }
@@ -53,12 +58,14 @@ pub(crate) fn drive(
     truth: Option<&Path>,
 ) -> anyhow::Result<u64> {
     let scene = scene(world, settings.drive.seed)?;
-    let truth: Box<dyn Write> = match truth {
-        Some(path) => Box::new(BufWriter::new(File::create(path).with_context(|| format!("cannot create {}", path.display()))?)),
-        None => Box::new(sink()),
-    };
-    let bag = BagWriter::create(out, compression)?;
-    Ok(simulated_bag::record(settings, &scene, bag, TumWriter::new(truth))?)
+    let bag = BagWriter::create_whole(out, compression)?;
+    // The truth is small: a line for every scan.
+    let mut poses = Vec::new();
+    let scans = simulated_bag::record(settings, &scene, bag, TumWriter::new(&mut poses))?;
+    if let Some(path) = truth {
+        output::write(path, poses).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(scans)
 }
 
 fn scene(world: &str, seed: u32) -> anyhow::Result<Scene> {

@@ -209,7 +209,8 @@ impl Bag {
         } else {
             format!("{} is on: {}", T::TYPE, candidates.join(", "))
         };
-        BagError::NoSuchTopic { path: self.path.clone(), topic: topic.into(), alternatives }
+        let damage = self.problems.borrow().first().map_or_else(String::new, |first| format!("; the bag is damaged: {first}"));
+        BagError::NoSuchTopic { path: self.path.clone(), topic: topic.into(), alternatives: alternatives + &damage }
     }
 }
 
