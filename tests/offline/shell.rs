@@ -119,6 +119,7 @@ fn a_run_that_fails_leaves_older_files_as_they_were() {
     desk.failure("replay demo.bag --tum old.tum --csv no/such.csv", 1);
     desk.failure("replay demo.bag --tum old.tum --csv old.csv --set contract.profile=no/such.yaml", 1);
     desk.failure("convert empty.clf old.bag", 1);
+    desk.failure("simulate --world room --out old.bag --truth no/such.tum --duration 1s", 1);
     desk.failure("evaluate demo.tum --truth no.tum --plot old.svg", 1);
     for name in ["old.tum", "old.csv", "old.svg", "old.bag"] {
         assert_eq!(desk.read(name), b"precious", "{name}");
@@ -126,6 +127,24 @@ fn a_run_that_fails_leaves_older_files_as_they_were() {
     assert_eq!(desk.names(), count, "nothing is left lying about");
     assert!(desk.run("replay sane.bag --tum old.tum --csv old.csv --plot old.svg").status.success());
     assert!(desk.read("old.tum") != b"precious" && desk.read("old.csv") != b"precious" && desk.names() == count);
+}
+
+#[test]
+fn a_killed_run_leaves_older_files_as_they_were() {
+    let desk = Desk::new();
+    desk.write("old.bag", "precious");
+    let count = desk.names();
+    let mut run = Command::new(env!("CARGO_BIN_EXE_anytime"))
+        .args(["simulate", "--world", "room", "--out", "old.bag", "--duration", "300s"])
+        .current_dir(desk.0.path())
+        .spawn()
+        .unwrap();
+    while desk.names() == count && run.try_wait().unwrap().is_none() {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    run.kill().unwrap();
+    assert!(!run.wait().unwrap().success(), "killed before its end");
+    assert_eq!(desk.read("old.bag"), b"precious");
 }
 
 /// `/dev/full` is a disk without room: what is no regular file is written to directly.
@@ -136,7 +155,7 @@ fn a_full_disk_is_said() {
     assert!(desk.failure("replay demo.bag --tum /dev/full", 1).contains("cannot write /dev/full"));
     assert!(desk.run("replay demo.bag --tum /dev/null --csv /dev/null").status.success());
     let to_stdout = desk.run("replay demo.bag --tum /dev/stdout").stdout;
-    assert!(to_stdout.iter().filter(|byte| **byte == b'\n').count() > 400);
+    assert!(String::from_utf8(to_stdout).unwrap().lines().count() > 400);
 }
 
 #[test]

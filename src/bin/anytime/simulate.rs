@@ -1,5 +1,6 @@
 //! `anytime simulate`.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -7,7 +8,7 @@ use anytime_scan_matcher::io::bag::{BagWriter, Compression};
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::io::{map_file, simulated_bag};
 use anytime_scan_matcher::knobs::KnobValue;
-use anytime_scan_matcher::output;
+use anytime_scan_matcher::output::OutputFile;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{DriveKnobs, Settings};
 use anytime_scan_matcher::simulation::scene::Scene;
@@ -58,12 +59,14 @@ pub(crate) fn drive(
     truth: Option<&Path>,
 ) -> anyhow::Result<u64> {
     let scene = scene(world, settings.drive.seed)?;
+    let create = |path: &Path| OutputFile::create(path).with_context(|| format!("cannot create {}", path.display()));
+    let mut file = truth.map(create).transpose()?;
     let bag = BagWriter::create_whole(out, compression)?;
     // The truth is small: a line for every scan.
     let mut poses = Vec::new();
     let scans = simulated_bag::record(settings, &scene, bag, TumWriter::new(&mut poses))?;
-    if let Some(path) = truth {
-        output::write(path, poses).with_context(|| format!("cannot write {}", path.display()))?;
+    if let (Some(file), Some(path)) = (&mut file, truth) {
+        file.write_all(&poses).and_then(|()| file.commit()).with_context(|| format!("cannot write {}", path.display()))?;
     }
     Ok(scans)
 }

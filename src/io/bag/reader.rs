@@ -242,8 +242,11 @@ fn check_magic(path: &Path, file: &mut File) -> Result<(), BagError> {
 }
 
 fn directory(path: &Path) -> BagError {
-    if path.join("metadata.yaml").is_file() {
-        return ros2_bag(path.into(), "a folder with metadata.yaml");
+    let is_of_ros2 =
+        |path: PathBuf| path.ends_with("metadata.yaml") || path.extension().is_some_and(|e| e == "db3" || e == "mcap");
+    let mut entries = path.read_dir().into_iter().flatten().flatten();
+    if entries.any(|entry| is_of_ros2(entry.path())) {
+        return ros2_bag(path.into(), "a folder of metadata.yaml and .db3 or .mcap files");
     }
     BagError::NotABag { path: path.into(), reason: "it is a directory".into() }
 }
