@@ -21,10 +21,16 @@ fn in_words(error: &Error, text: &str) -> String {
             let said = said.lines().next().unwrap_or_default();
             let words = said.split(" at line ").next().unwrap_or(said);
             let words = words.rsplit_once(": ").filter(|(before, _)| before.contains("line ")).map_or(words, |(_, words)| words);
-            let is_yaml = serde_saphyr::from_str::<IgnoredAny>(text).is_ok();
-            format!("{}{place}{words}", if is_yaml { "" } else { "this is not YAML: " })
+            format!("{}{place}{words}", if is_yaml(text) { "" } else { "this is not YAML: " })
         }
     }
+}
+
+/// Whether the text is well-formed, whatever it says.
+fn is_yaml(text: &str) -> bool {
+    serde_saphyr::from_str::<IgnoredAny>(text)
+        .err()
+        .is_none_or(|error| matches!(error.without_snippet(), Error::DuplicateMappingKey { .. } | Error::NonFiniteFloat { .. }))
 }
 
 #[cfg(test)]
@@ -36,6 +42,8 @@ mod tests {
         let problem = |text: &str| from_str::<serde_json::Value>(text).unwrap_err();
         assert_eq!(problem("a: 1\nb: 2\na: 3\n"), "line 3, column 1: the key 'a' is there for the second time: remove one");
         assert_eq!(problem("a:\n  b: .nan\n"), "line 2, column 6: .nan where a finite number is needed");
+        let not_a_number = from_str::<Vec<f64>>("a: .nan").unwrap_err();
+        assert!(!not_a_number.contains("not YAML"), "{not_a_number}");
         assert_eq!(problem("a: ["), "this is not YAML: line 1, column 4: unclosed bracket '['");
     }
 }

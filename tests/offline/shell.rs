@@ -220,7 +220,8 @@ fn wrong_usage_is_named_and_exits_with_two() {
         ("localize demo.bag --map m.yaml --time-budget=-5ms", "which is negative"),
         ("localize demo.bag", "--map M.yaml"),
         ("localize demo.bag --map m.yaml --particles 1", "localization.particles"),
-        ("simulate --world room --out x.bag --beams 0", "--beams: expected"),
+        ("simulate --world room --out x.bag --beams 0", "beams: expected"),
+        ("simulate --world rom --out x.bag", "--world: expected corridor | room, got \"rom\""),
     ] {
         let error = desk.failure(line, 2);
         assert!(error.contains(said), "{line}: {error}");

@@ -26,7 +26,7 @@ pub(crate) fn help<G: KnobGroup + Default>(name: &str) -> String {
 pub(crate) fn set(group: &mut dyn KnobGroup, name: &str, value: Option<&Value>) -> anyhow::Result<()> {
     match value.map(|value| group.set(name, value)) {
         None | Some(Some(Ok(()))) => Ok(()),
-        Some(Some(Err(problem))) => Err(usage(format!("--{}: {problem}", name.replace('_', "-")))),
+        Some(Some(Err(problem))) => Err(usage(format!("{name}: {problem}"))),
         Some(None) => bail!("there is no knob {name}"),
     }
 }
