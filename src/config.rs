@@ -10,7 +10,8 @@ use thiserror::Error;
 
 use crate::anytime::contract::ContractKnobs;
 use crate::cloud::CloudKnobs;
-use crate::knobs::{KnobGroup, KnobInfo, Value, nearest_name};
+use crate::io::yaml;
+use crate::knobs::{KnobGroup, KnobInfo, Value, nearest_name, nearest_names};
 use crate::localization::LocalizationKnobs;
 use crate::localization::motion::MotionKnobs;
 use crate::localization::sensor::SensorKnobs;
@@ -38,11 +39,14 @@ crate::knobs! {
     }
 }
 
+/// Names shown for one that is unknown.
+const NAMES_SHOWN: usize = 3;
+
 /// Why a configuration is refused.
 #[derive(Debug, Error)]
 pub enum ConfigError {
     /// There is no such knob.
-    #[error("{source_name}: there is no parameter '{path}'{hint}; the parameters are: {valid}")]
+    #[error("{source_name}: there is no parameter '{path}'{hint}; the nearest are: {nearest} (README.md has all)")]
     UnknownKnob {
         /// Where it was set.
         source_name: String,
@@ -50,8 +54,8 @@ pub enum ConfigError {
         path: String,
         /// The one that may have been meant.
         hint: String,
-        /// Every path.
-        valid: String,
+        /// The nearest names.
+        nearest: String,
     },
     /// The value does not fit.
     #[error("{source_name}: {path}: {problem}")]
@@ -239,9 +243,10 @@ fn judge(
         Some(Err(problem)) => Err(ConfigError::BadValue { source_name, path, problem }),
         None => {
             let valid = valid();
-            let near = nearest_name(&path, valid.iter().map(String::as_str));
-            let hint = near.map_or_else(String::new, |near| format!(" (did you mean '{near}'?)"));
-            Err(ConfigError::UnknownKnob { source_name, path, hint, valid: valid.join(", ") })
+            let names = || valid.iter().map(String::as_str);
+            let hint = nearest_name(&path, names()).map_or_else(String::new, |near| format!(" (did you mean '{near}'?)"));
+            let nearest = nearest_names(&path, names(), NAMES_SHOWN).join(", ");
+            Err(ConfigError::UnknownKnob { source_name, path, hint, nearest })
         }
     }
 }
@@ -250,8 +255,7 @@ fn parse_yaml(text: &str, source_name: &str) -> Result<Value, ConfigError> {
     if text.trim().is_empty() {
         return Ok(Value::Null);
     }
-    serde_saphyr::from_str(text)
-        .map_err(|error| ConfigError::BadYaml { source_name: source_name.into(), problem: format!("this is not YAML: {error}") })
+    yaml::from_str(text).map_err(|problem| ConfigError::BadYaml { source_name: source_name.into(), problem })
 }
 
 #[cfg(test)]
@@ -297,7 +301,7 @@ mod tests {
         assert!(
             typo.contains("car.yaml")
                 && typo.contains("did you mean 'matching.max_iterations'?")
-                && typo.contains("odometry.reference"),
+                && typo.matches(", ").count() == 2,
             "{typo}"
         );
         let range = message(config.set_assignment("matching.max_iterations=0"));

@@ -107,16 +107,14 @@ impl KnobValue for String {
     }
 }
 
-/// A time span in seconds; read from a number of seconds or from text with a unit (`5ms`, `200us`).
+/// A time span in seconds; read from a number of seconds, or from text with a unit (`5ms`, `200us`) or without, which is seconds too.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 pub struct Seconds(pub f64);
 
 impl KnobValue for Seconds {
     fn from_value(value: &Value) -> Result<Self, String> {
         match value {
-            Value::String(text) => humantime::parse_duration(text)
-                .map(|d| Self(d.as_secs_f64()))
-                .map_err(|e| format!("expected {}, got {value} ({e})", Self::kind())),
+            Value::String(text) => seconds(text).map(Self).map_err(|e| format!("expected {}, got {value} ({e})", Self::kind())),
             _ => f64::from_value(value).map(Self).map_err(|_| expected(Self::kind(), value)),
         }
     }
@@ -129,6 +127,14 @@ impl KnobValue for Seconds {
     fn number(&self) -> Option<f64> {
         Some(self.0)
     }
+}
+
+/// Seconds from text. A sign is taken, so that a value below zero is refused for what it is.
+fn seconds(text: &str) -> Result<f64, humantime::DurationError> {
+    let (sign, span) = text.trim().strip_prefix('-').map_or((1.0, text.trim()), |span| (-1.0, span));
+    let number = span.parse().ok().filter(|number: &f64| number.is_finite());
+    let seconds = number.map_or_else(|| humantime::parse_duration(span).map(|span| span.as_secs_f64()), Ok)?;
+    Ok(sign * seconds)
 }
 
 /// Unset is `null` or the text `unset`.
@@ -170,12 +176,27 @@ impl KnobValue for crate::geometry::Pose2 {
 
 /// The candidate nearest to a mistyped `name`, if one is near enough to be what was meant.
 pub fn nearest_name<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
-    candidates
-        .into_iter()
-        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
-        .filter(|(similarity, _)| *similarity > 0.7)
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, candidate)| candidate)
+    let (similarity, nearest) = by_similarity(name, candidates).into_iter().next()?;
+    (similarity > 0.7).then_some(nearest)
+}
+
+/// The `count` candidates nearest to a mistyped `name`, the nearest first.
+pub fn nearest_names<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>, count: usize) -> Vec<&'a str> {
+    by_similarity(name, candidates).into_iter().take(count).map(|(_, candidate)| candidate).collect()
+}
+
+/// The most similar first. Of paths, the last parts count alone, too: a group is easily left out.
+fn by_similarity<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Vec<(f64, &'a str)> {
+    fn last(path: &str) -> &str {
+        path.rsplit('.').next().unwrap_or(path)
+    }
+    let similarity = |candidate: &str| {
+        let of_last_parts = 0.98 * strsim::jaro_winkler(last(name), last(candidate));
+        strsim::jaro_winkler(name, candidate).max(of_last_parts)
+    };
+    let mut similar: Vec<_> = candidates.into_iter().map(|candidate| (similarity(candidate), candidate)).collect();
+    similar.sort_by(|a, b| b.0.total_cmp(&a.0));
+    similar
 }
 
 /// Declares an enum that a knob can take by name.
@@ -298,6 +319,7 @@ macro_rules! knobs {
 #[doc(hidden)]
 pub fn check_range(number: Option<f64>, low: f64, high: f64) -> Result<(), String> {
     match number {
+        Some(number) if number < 0.0 && low >= 0.0 => Err(format!("expected {low} to {high}, got {number}, which is negative")),
         Some(number) if !(low..=high).contains(&number) => Err(format!("expected {low} to {high}, got {number}")),
         _ => Ok(()),
     }

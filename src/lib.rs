@@ -20,6 +20,7 @@
 //! |---|---|
 //! | [`time`], [`geometry`] | stamps to the nanosecond; poses of the plane, named `odom_from_base` |
 //! | [`quantile`] | quantiles in linear time |
+//! | [`output`] | files that are in their place once they are whole |
 //! | `parallel` | work that threads share |
 //! | [`knobs`](mod@knobs) | parameters, each declared once |
 //! | [`map`] | occupancy grids, distances in them |
@@ -68,6 +69,7 @@ pub mod map;
 pub mod matching;
 pub mod messages;
 pub mod odometry;
+pub mod output;
 mod parallel;
 #[cfg(feature = "cli")]
 pub mod profile;

@@ -35,6 +35,13 @@ pub struct RelationErrors {
     pub long: Option<PoseErrors>,
 }
 
+impl RelationErrors {
+    /// Whether no relation has poses near both of its stamps: the figures tell nothing.
+    pub fn none_met(&self) -> bool {
+        self.beyond_max_dt == self.all.count
+    }
+}
+
 /// The errors of `trajectory` over `relations`; `None` when there are none.
 ///
 /// As in the authors' own program a relation's stamp takes the nearest pose, however far. Those further than `max_dt` seconds are

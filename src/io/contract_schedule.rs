@@ -1,12 +1,12 @@
 //! Contracts over time as a CSV file: what a controller would have asked for, had it been there.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use serde::Deserialize;
 use thiserror::Error;
 
 use crate::anytime::contract::{Contract, ContractError};
+use crate::knobs::{KnobValue, Seconds};
 
 /// Why a schedule is refused.
 #[derive(Debug, Error)]
@@ -94,7 +94,7 @@ pub fn read(path: &Path) -> Result<ContractSchedule, ScheduleError> {
 
 /// Seconds, as a number or with a unit; NaN for anything else, which no contract has.
 fn budget(text: &str) -> f64 {
-    text.parse().unwrap_or_else(|_| humantime::parse_duration(text).as_ref().map_or(f64::NAN, Duration::as_secs_f64))
+    Seconds::from_value(&text.into()).map_or(f64::NAN, |span| span.0)
 }
 
 #[cfg(test)]

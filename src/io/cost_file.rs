@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
+use super::yaml;
 use crate::anytime::cost_model::{CostEntry, CostModel};
+use crate::output;
 
 /// Why costs cannot be read or written.
 #[derive(Debug, Error)]
@@ -36,8 +38,8 @@ pub fn read(path: &Path, costs: &mut CostModel) -> Result<bool, CostFileError> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
         text => text.map_err(|problem| CostFileError::System { action: "read", path: path.into(), problem })?,
     };
-    let content = |problem: serde_saphyr::Error| CostFileError::Content { path: path.into(), problem: problem.to_string() };
-    let entries: Vec<CostEntry> = serde_saphyr::from_str(&text).map_err(content)?;
+    let content = |problem| CostFileError::Content { path: path.into(), problem };
+    let entries: Vec<CostEntry> = yaml::from_str(&text).map_err(content)?;
     costs.recall(&entries);
     Ok(true)
 }
@@ -46,7 +48,7 @@ pub fn read(path: &Path, costs: &mut CostModel) -> Result<bool, CostFileError> {
 pub fn write(path: &Path, costs: &CostModel) -> Result<(), CostFileError> {
     let system = |problem| CostFileError::System { action: "write", path: path.into(), problem };
     let text = serde_saphyr::to_string(&costs.entries()).map_err(|error| system(io::Error::other(error.to_string())))?;
-    std::fs::write(path, text).map_err(system)
+    output::write(path, text).map_err(system)
 }
 
 #[cfg(test)]

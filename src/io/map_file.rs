@@ -7,6 +7,7 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use super::gray_image::GrayImage;
+use super::yaml;
 use crate::geometry::Pose2;
 use crate::map::grid::{Cell, OccupancyGrid};
 
@@ -69,7 +70,7 @@ struct Description {
 pub fn read(path: &Path) -> Result<OccupancyGrid, MapError> {
     let text = std::fs::read_to_string(path).map_err(|error| MapError::Unreadable { path: path.into(), error })?;
     let not_a_map = |problem: String| MapError::NotAMap { path: path.into(), problem };
-    let description: Description = serde_saphyr::from_str(&text).map_err(|error| not_a_map(error.to_string()))?;
+    let description: Description = yaml::from_str(&text).map_err(not_a_map)?;
     check(&description, path)?;
     let (width, cells) = read_cells(&description, path)?;
     let [x, y, yaw] = description.origin;

@@ -11,3 +11,4 @@ pub mod relations;
 pub mod simulated_bag;
 pub mod text;
 pub mod tum;
+pub mod yaml;

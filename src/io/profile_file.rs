@@ -7,6 +7,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::yaml;
 use crate::knobs::{Value, nearest_name};
 
 /// The expected error of every variant, and the data it was measured on.
@@ -123,7 +124,7 @@ impl Profile {
 
     /// Reads and checks the text of a profile; the error says what does not fit.
     pub fn from_yaml(text: &str) -> Result<Self, String> {
-        let profile: Self = serde_saphyr::from_str(text).map_err(|error| error.to_string())?;
+        let profile: Self = yaml::from_str(text)?;
         for (name, variant) in &profile.variants {
             variant.check().map_err(|problem| format!("{name}: {problem}"))?;
         }

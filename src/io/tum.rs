@@ -80,6 +80,11 @@ impl<W: Write> TumWriter<W> {
         self.sink.write_all(format!("{stamp} {:.9} {:.9} 0 0 0 {qz:.12} {qw:.12}\n", pose.x, pose.y).as_bytes())
     }
 
+    /// The sink.
+    pub fn into_sink(self) -> W {
+        self.sink
+    }
+
     /// Sends on what `sink` still holds back.
     pub fn flush(&mut self) -> io::Result<()> {
         self.sink.flush()

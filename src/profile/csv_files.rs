@@ -1,6 +1,7 @@
-//! The tables of a study. What a run has found is in the files before the next one begins.
+//! The tables of a study. What a run has found is in the files before the next one begins; they are in their places once the study is
+//! done.
 
-use std::fs::{self, File};
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::ProfileError;
@@ -8,6 +9,7 @@ use super::plan::{Case, Plan};
 use super::run::{Run, ScanRecord};
 use super::summary::{CaseSummary, Figures};
 use super::variant::Variant;
+use crate::output::OutputFile;
 
 const CASE: [&str; 4] = ["variant", "knob", "value", "unit"];
 const FIGURES: [&str; 16] = [
@@ -76,6 +78,11 @@ impl RunFiles {
         self.runs.write(&row(case, round, figures))?;
         self.runs.flush()
     }
+
+    /// The study is done: puts the tables in their places.
+    pub fn finish(self) -> Result<(), ProfileError> {
+        self.scans.into_iter().map(|(_, table)| table).chain([self.runs]).try_for_each(Table::finish)
+    }
 }
 
 /// Writes the summary of a study.
@@ -84,7 +91,7 @@ pub fn write_summary(path: PathBuf, cases: &[CaseSummary]) -> Result<(), Profile
     for summary in cases {
         table.write(&row(&summary.case, summary.rounds, &summary.figures))?;
     }
-    table.flush()
+    table.finish()
 }
 
 fn scan_row(case: &Case, round: u32, scan: &ScanRecord) -> Vec<String> {
@@ -120,12 +127,12 @@ fn row(case: &Case, round: u32, figures: &Figures) -> Vec<String> {
 /// A CSV file that names itself in errors.
 struct Table {
     path: PathBuf,
-    writer: csv::Writer<File>,
+    writer: csv::Writer<OutputFile>,
 }
 
 impl Table {
     fn create(path: PathBuf, header: &[&str]) -> Result<Self, ProfileError> {
-        let file = File::create(&path).map_err(|error| ProfileError::write(&path, error))?;
+        let file = OutputFile::create(&path).map_err(|error| ProfileError::write(&path, error))?;
         let mut table = Self { path, writer: csv::Writer::from_writer(file) };
         table.write(header)?;
         Ok(table)
@@ -137,5 +144,10 @@ impl Table {
 
     fn flush(&mut self) -> Result<(), ProfileError> {
         self.writer.flush().map_err(|error| ProfileError::write(&self.path, error))
+    }
+
+    fn finish(self) -> Result<(), ProfileError> {
+        let file = self.writer.into_inner().map_err(csv::IntoInnerError::into_error);
+        file.and_then(|mut file| file.commit()).map_err(|error| ProfileError::write(&self.path, error))
     }
 }

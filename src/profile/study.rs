@@ -21,6 +21,7 @@ use crate::evaluation::trajectory::Trajectory;
 use crate::io::profile_file::{Budget, ExpectedError, Profile, Provenance, VariantProfile};
 use crate::matching::correspondence::Correspondence;
 use crate::matching::solver::SolverKind;
+use crate::output;
 
 /// What the errors of a study are, for those who read its files.
 pub const ERROR_MEANS: &str = "of each pose against the truth interpolated to its stamp, after the one rigid motion that lays the \
@@ -106,6 +107,7 @@ impl Study<'_> {
                 }
             }
         }
+        files.finish()?;
         let cases = cases.iter().zip(&figures);
         let cases: Vec<_> = cases
             .map(|(&case, rounds)| CaseSummary { case, rounds: self.plan.rounds, figures: Figures::median(rounds) })
@@ -145,7 +147,7 @@ impl Study<'_> {
     fn write(&self, folder: &Path, results: &Results) -> Result<(), ProfileError> {
         let write = |name: &str, text: &str| {
             let path = folder.join(name);
-            fs::write(&path, text).map_err(|error| ProfileError::write(&path, error))
+            output::write(&path, text).map_err(|error| ProfileError::write(&path, error))
         };
         csv_files::write_summary(folder.join("summary.csv"), &results.cases)?;
         let yaml = results.profile().to_yaml();

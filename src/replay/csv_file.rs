@@ -1,6 +1,6 @@
 //! One line of CSV per scan.
 
-use std::io::Write;
+use std::io::{self, Write};
 
 use super::microseconds;
 use crate::app::Estimate;
@@ -94,5 +94,10 @@ impl<W: Write> CsvFile<W> {
         ]);
         self.writer.write_record(record)?;
         Ok(self.writer.flush()?)
+    }
+
+    /// The sink, with all that was written.
+    pub fn into_sink(self) -> io::Result<W> {
+        self.writer.into_inner().map_err(csv::IntoInnerError::into_error)
     }
 }

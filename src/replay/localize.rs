@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::Write;
+use std::io::{self, Write};
 use std::time::Duration;
 
 use comfy_table::{Table, presets};
@@ -139,6 +139,11 @@ impl<W: Write> BeliefFile<W> {
         self.writer.write_record(record)?;
         Ok(self.writer.flush()?)
     }
+
+    /// The sink, with all that was written.
+    pub fn into_sink(self) -> io::Result<W> {
+        self.writer.into_inner().map_err(csv::IntoInnerError::into_error)
+    }
 }
 
 /// Collects the answers of a replay.
@@ -195,6 +200,12 @@ impl LocalizationSummary {
     /// The trajectory of the base on the map.
     pub fn poses(&self) -> &[StampedPose] {
         &self.poses
+    }
+
+    /// Why scans were of no use, and how many; empty if all were.
+    pub fn useless(&self) -> String {
+        let kinds: Vec<String> = self.useless.iter().map(|(kind, count)| format!("{count}: {kind}")).collect();
+        kinds.join("; ")
     }
 
     /// Particles, how many of them are effective, and beams.

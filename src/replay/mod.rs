@@ -91,6 +91,15 @@ pub struct ReplayLog {
 impl ReplayLog {
     const KEPT: usize = 10;
 
+    /// Why there is nothing to show: what was unusable, and what the bag lost. Empty if nothing tells.
+    pub fn reasons(&self, bag: &Bag) -> String {
+        let unusable =
+            self.problems.first().map(|first| format!("{} unusable messages, the first: {first}", self.unusable_messages));
+        let lost = bag.problems().iter().map(ToString::to_string).collect::<Vec<_>>();
+        let reasons: Vec<String> = unusable.into_iter().chain(lost).collect();
+        if reasons.is_empty() { String::new() } else { format!(": {}", reasons.join("; ")) }
+    }
+
     fn note(&mut self, problem: &dyn std::fmt::Display) {
         self.unusable_messages += 1;
         if self.problems.len() < Self::KEPT {

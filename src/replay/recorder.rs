@@ -1,6 +1,5 @@
 //! What is kept of a replay: the summary in memory, and files for whoever asks for them.
 
-use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -14,6 +13,7 @@ use crate::geometry::Point;
 use crate::io::bag::BagError;
 use crate::io::tum::TumWriter;
 use crate::messages::sensor_msgs::LaserScan;
+use crate::output::OutputFile;
 
 /// Why a replay ended before its time.
 #[derive(Debug, Error)]
@@ -40,11 +40,11 @@ pub struct OutputFiles {
     pub csv: Option<PathBuf>,
 }
 
-/// Takes every answer of a replay. What it has taken is in the files, should the program be killed.
+/// Takes every answer of a replay. What it has taken is in the files; these are in their places once it has [finished](Self::finish).
 pub struct Recorder {
     files: OutputFiles,
-    tum: Option<TumWriter<File>>,
-    csv: Option<CsvFile<File>>,
+    tum: Option<TumWriter<OutputFile>>,
+    csv: Option<CsvFile<OutputFile>>,
     sketch: Option<MapSketch>,
     summary: Summary,
 }
@@ -75,6 +75,17 @@ impl Recorder {
         Ok(())
     }
 
+    /// The files are whole: puts them in their places.
+    pub fn finish(&mut self) -> Result<(), RecordError> {
+        if let (Some(tum), Some(path)) = (self.tum.take(), &self.files.tum) {
+            tum.into_sink().commit().map_err(|error| failed(path, error))?;
+        }
+        if let (Some(csv), Some(path)) = (self.csv.take(), &self.files.csv) {
+            csv.into_sink().and_then(|mut file| file.commit()).map_err(|error| failed(path, error))?;
+        }
+        Ok(())
+    }
+
     /// The summary so far.
     pub fn summary(&self) -> &Summary {
         &self.summary
@@ -86,8 +97,8 @@ impl Recorder {
     }
 }
 
-fn create(path: &Path) -> Result<File, RecordError> {
-    File::create(path).map_err(|error| failed(path, error))
+fn create(path: &Path) -> Result<OutputFile, RecordError> {
+    OutputFile::create(path).map_err(|error| failed(path, error))
 }
 
 fn failed(path: &Path, error: io::Error) -> RecordError {

@@ -15,6 +15,9 @@ use crate::evaluation::statistics::percentile;
 use crate::evaluation::trajectory::StampedPose;
 use crate::odometry::{OdometryCounters, Outcome};
 
+/// What the problem of a scan begins with that is none.
+const MALFORMED: &str = "malformed scan:";
+
 /// Collects the estimates of a replay.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
@@ -23,6 +26,8 @@ pub struct Summary {
     iterations: u64,
     matched: usize,
     failures: BTreeMap<String, usize>,
+    /// Malformed scans, and what is wrong with the first.
+    malformed: Option<(usize, String)>,
     /// Shortest and longest time budget.
     budgets: Option<(Duration, Duration)>,
     /// Answers that had a bound on their error, and those that kept it.
@@ -92,6 +97,9 @@ impl Summary {
             let kind =
                 problem.split([':', '.']).next().unwrap_or_default().trim_end_matches(|c: char| c.is_ascii_digit() || c == ' ');
             *self.failures.entry(kind.to_owned()).or_default() += 1;
+            if let Some(reason) = problem.strip_prefix(MALFORMED) {
+                self.malformed.get_or_insert_with(|| (0, reason.trim().to_owned())).0 += 1;
+            }
         }
         if let Some(budget) = estimate.contract.time_budget {
             let (shortest, longest) = self.budgets.unwrap_or((budget, budget));
@@ -109,6 +117,22 @@ impl Summary {
     /// The trajectory of the base.
     pub fn poses(&self) -> &[StampedPose] {
         &self.poses
+    }
+
+    /// Why the answers are worth nothing, if they are: no scan was well-formed.
+    pub fn hollow(&self) -> Option<String> {
+        self.malformed.as_ref().filter(|(count, _)| *count == self.poses.len()).and_then(|_| self.malformed_scans())
+    }
+
+    /// How many scans are malformed, and how.
+    fn malformed_scans(&self) -> Option<String> {
+        let (count, first) = self.malformed.as_ref()?;
+        Some(format!("{count} of {} scans are malformed, the first: {first}", self.poses.len()))
+    }
+
+    /// What the user should know, each with its remedy where there is one.
+    fn problems(&self, ending: &Ending) -> Vec<String> {
+        self.malformed_scans().into_iter().chain(ending.problems()).collect()
     }
 
     fn path_length(&self) -> f64 {
@@ -152,7 +176,8 @@ impl Summary {
             "rpe_1m_rmse_m": truth["rpe_1m_rmse_m"],
             "rpe_1m_rmse_deg": truth["rpe_1m_rmse_deg"],
             "unusable_messages": ending.log.unusable_messages,
-            "problems": ending.problems(),
+            "bag_problems": ending.bag_problems,
+            "problems": self.problems(ending),
         })
     }
 
@@ -188,8 +213,9 @@ impl Summary {
         if let Some(report) = &ending.report {
             let _ = writeln!(text, "\n{report}");
         }
-        for problem in ending.problems() {
-            let _ = writeln!(text, "note: {problem}");
+        for problem in self.problems(ending) {
+            let kind = if ending.bag_problems.contains(&problem) { "warning: the bag is damaged" } else { "note" };
+            let _ = writeln!(text, "{kind}: {problem}");
         }
         text
     }

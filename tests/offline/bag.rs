@@ -363,6 +363,113 @@ fn absurd_lengths_are_said_and_take_no_memory() {
     }
 }
 
+/// Places of a pattern.
+fn positions(bytes: &[u8], pattern: &[u8]) -> Vec<usize> {
+    (0..bytes.len().saturating_sub(pattern.len())).filter(|&at| bytes[at..].starts_with(pattern)).collect()
+}
+
+/// The index records of a bag, by a change of each: the fields' place and the data's length's place are given.
+fn with_index_records(path: &Path, mut change: impl FnMut(&mut [u8], usize)) {
+    let mut bytes = fs::read(path).unwrap();
+    for at in positions(&bytes, b"op=\x04") {
+        change(&mut bytes, at);
+    }
+    fs::write(path, bytes).unwrap();
+}
+
+/// Of an index record that `op=` is at: where its count is, and where the length of its data.
+fn index_fields(bytes: &[u8], op: usize) -> (usize, usize) {
+    let count = position(bytes, b"count=", op) + 6;
+    (count, count + 4)
+}
+
+/// The recorder of 2010 wrote 20 bytes of length for each entry of 12.
+#[test]
+fn index_records_are_read_by_their_count() {
+    let dir = scratch();
+    let path = dir.path().join("a.bag");
+    write_bag(&path, Compression::None, 1000, 541);
+    let whole = read_all(&Bag::open(&path).unwrap());
+    with_index_records(&path, |bytes, op| {
+        let (count, len) = index_fields(bytes, op);
+        let count = u32::from_le_bytes(bytes[count..count + 4].try_into().unwrap());
+        bytes[len..len + 4].copy_from_slice(&(20 * count).to_le_bytes());
+    });
+    let bag = Bag::open(&path).unwrap();
+    assert!(bag.compressions()[0].1 > 1, "several chunks");
+    assert_eq!(*bag.problems(), []);
+    assert_eq!(bag.message_count(None), 2001);
+    assert!(read_all(&bag) == whole);
+}
+
+#[test]
+fn no_chunk_is_lost_because_of_an_index() {
+    let dir = scratch();
+    let path = dir.path().join("a.bag");
+    let damages: [fn(&mut [u8], usize); 4] = [
+        // Of another version, of no connection, with a count of its own, and with a length that leads nowhere.
+        |bytes, op| bytes[position(bytes, b"ver=", op) + 4] = 9,
+        |bytes, op| bytes[position(bytes, b"conn=", op)] = b'x',
+        |bytes, op| bytes[index_fields(bytes, op).0] ^= 1,
+        |bytes, op| {
+            let (count, len) = index_fields(bytes, op);
+            (bytes[count], bytes[len]) = (bytes[count] ^ 1, bytes[len] ^ 5);
+        },
+    ];
+    for (i, damage) in damages.into_iter().enumerate() {
+        write_bag(&path, Compression::None, 1000, 541);
+        let whole = read_all(&Bag::open(&path).unwrap());
+        with_index_records(&path, damage);
+        let bag = Bag::open(&path).unwrap();
+        assert!(read_all(&bag) == whole, "damage {i}: {:?}", bag.problems());
+        assert_eq!(bag.message_count(None), 2001, "damage {i}");
+    }
+}
+
+#[test]
+fn a_connection_without_its_checksum_loses_nothing() {
+    let dir = scratch();
+    let path = dir.path().join("a.bag");
+    write_bag(&path, Compression::None, 10, 100);
+    let mut bytes = fs::read(&path).unwrap();
+    for (from, to) in [(&b"md5sum="[..], &b"md5xxx="[..]), (b"type=tf2_msgs/TFMessage", b"type=xf2_msgs/TFMessage")] {
+        for at in positions(&bytes, from) {
+            bytes[at..at + from.len()].copy_from_slice(to);
+        }
+    }
+    fs::write(&path, bytes).unwrap();
+    let bag = Bag::open(&path).unwrap();
+    assert_eq!((&*bag.problems(), bag.message_count(None)), (&[][..], 21));
+    for message in bag.messages(Some(&["/scan"])) {
+        message.unwrap().decode::<LaserScan>().unwrap();
+    }
+    // A type of another name is known by its definition.
+    assert_eq!(bag.topics_of::<TFMessage>(), ["/tf_static"]);
+    assert_eq!(bag.topics_of::<LaserScan>(), ["/scan"]);
+}
+
+#[test]
+fn bags_of_another_kind_are_named_with_the_remedy() {
+    let dir = scratch();
+    let file = |name: &str, bytes: &[u8]| {
+        fs::write(dir.path().join(name), bytes).unwrap();
+        dir.path().join(name)
+    };
+    let said = |path: &Path| Bag::open(path).err().unwrap().to_string();
+    let old = said(&file("old.bag", b"#ROSRECORD V1.2\n\x1e\0\0\0"));
+    assert!(old.contains("version 1.2;") && old.contains("`rosbag fix"), "{old}");
+    if let Some(path) = shared("cases/rosrecord_v1.2_as_published.bag") {
+        assert!(said(&path).contains("version 1.2; `rosbag fix"));
+    }
+    let sqlite = said(&file("a.db3", b"SQLite format 3\0 and so on"));
+    let mcap = said(&file("a.bag", b"\x89MCAP0\r\n"));
+    file("metadata.yaml", b"rosbag2_bagfile_information:\n");
+    let folder = said(dir.path());
+    for (said, form) in [(sqlite, "SQLite"), (mcap, "MCAP"), (folder, "metadata.yaml")] {
+        assert!(said.contains("ROS 2") && said.contains(form) && said.contains("rosbags-convert"), "{said}");
+    }
+}
+
 #[test]
 fn what_is_no_bag_is_told_so() {
     let dir = scratch();

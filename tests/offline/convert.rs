@@ -176,6 +176,53 @@ fn packed_logs_are_the_same() {
     assert!(fs::read(packed).unwrap() == plain);
 }
 
+#[test]
+fn logs_packed_with_gzip_are_read_by_content() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_, plain) = converted(folder.path(), log().as_bytes(), &[]);
+    let plain = fs::read(plain).unwrap();
+    let (_, packed) = converted(folder.path(), &gzip(log().as_bytes()), &[]);
+    assert!(fs::read(packed).unwrap() == plain);
+    if let Some(log) = crate::common::shared("cases/plain.log.gz") {
+        let (said, _) = converted(folder.path(), &fs::read(log).unwrap(), &[]);
+        assert!(said.contains("100 scans"), "{said}");
+    }
+}
+
+/// A gzip file of stored blocks (RFC 1951, 1952), without the help of the library that reads it.
+fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let crc = !bytes.iter().fold(!0_u32, |crc, &byte| {
+        (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg()))
+    });
+    let len = u16::try_from(bytes.len()).unwrap();
+    let header = [0x1f, 0x8b, 8, 0, 0, 0, 0, 0, 0, 3, 1];
+    let lengths = [len.to_le_bytes(), (!len).to_le_bytes()].concat();
+    [&header[..], &lengths, bytes, &crc.to_le_bytes(), &u32::from(len).to_le_bytes()].concat()
+}
+
+#[test]
+fn raw_laser_lines_are_scans_without_poses() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = |time: f64| format!("RAWLASER1 0 -1.0 2.2 0.2 50.0 0.01 0 12 {RANGES} 0 {time} host {time}");
+    let alone = [line(10.0), line(10.2)].join("\n");
+    let (said, bag) = converted(folder.path(), alone.as_bytes(), &[]);
+    assert!(said.contains("2 scans") && said.contains("the scans carry no poses"), "{said}");
+    let scan = &messages::<LaserScan>(&bag, "/scan")[1];
+    assert_eq!((scan.angle_min, scan.ranges.len(), scan.header.stamp), (-1.0, 12, Time { sec: 10, nsec: 200_000_000 }));
+    assert!((scan.angle_increment - 0.2).abs() < 1e-6 && scan.range_max < 50.0, "{scan:?}");
+    assert_eq!(messages::<Odometry>(&bag, "/odom").len(), 0, "no pose, no odometry");
+    // What the wheels said is used; and where scans have poses, those without are left out.
+    let (_, bag) = converted(folder.path(), format!("{alone}\nODOM 1 0 0 0.5 0 0 10.1 host 1").as_bytes(), &[]);
+    assert_eq!(messages::<Odometry>(&bag, "/odom").len(), 1);
+    let (said, _) = converted(folder.path(), format!("{alone}\n{}", front_laser("0 0 0 0 0 0", "1")).as_bytes(), &[]);
+    assert!(said.contains("1 scans") && said.contains("2 RAWLASER1"), "{said}");
+    if let Some(log) = crate::common::shared("cases/rawlaser.log") {
+        let (said, bag) = converted(folder.path(), &fs::read(log).unwrap(), &[]);
+        assert!(said.contains("100 scans"), "{said}");
+        assert_eq!((messages::<LaserScan>(&bag, "/scan").len(), messages::<Odometry>(&bag, "/odom").len()), (100, 100));
+    }
+}
+
 proptest! {
     /// Bytes of a log overwritten, dropped and doubled.
     #[test]

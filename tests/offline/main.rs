@@ -26,5 +26,6 @@ mod readme;
 mod replay;
 #[cfg(target_os = "linux")]
 mod shared_memory;
+mod shell;
 mod simulation;
 mod solvers;

@@ -195,9 +195,9 @@ fn the_particle_filter_stands_beside_the_scan_matcher() {
     for name in ["error_particles", "error_update_period", "delay_error_max_iterations", "delay_error_particles"] {
         assert!(report.contains(&fs::read_to_string(out.join(format!("{name}.svg"))).unwrap()), "{name}");
     }
-    let no_map = failure(&["profile", "bags/demo.bag", "--out", "/tmp", "--variant", "particle_filter"], 1);
+    let no_map = failure(&["profile", "bags/demo.bag", "--out", "/tmp", "--variant", "particle_filter"], 2);
     assert!(no_map.contains("--map"), "{no_map}");
-    let no_filter = failure(&["profile", "bags/demo.bag", "--out", "/tmp", "--knob", "particles"], 1);
+    let no_filter = failure(&["profile", "bags/demo.bag", "--out", "/tmp", "--knob", "particles"], 2);
     assert!(no_filter.contains("--map"), "{no_filter}");
 }
 
@@ -206,13 +206,13 @@ fn mistakes_are_named_with_their_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out").to_str().unwrap().to_owned();
     let profile = |more: &[&str], code| failure(&[&["profile", "--out", &out], more].concat(), code);
-    let no_truth = profile(&["bags/demo.bag", "--knob", "max_iterations"], 1);
+    let no_truth = profile(&["bags/demo.bag", "--knob", "max_iterations"], 2);
     assert!(no_truth.contains("--truth") && no_truth.contains("/gt_pose"), "{no_truth}");
     let knob = profile(&["bags/demo.bag", "--knob", "max_iteration"], 2);
     assert!(knob.contains("max_iterations | time_budget"), "{knob}");
-    let value = profile(&["bags/demo.bag", "--knob", "max_iterations", "--values", "1,0"], 1);
+    let value = profile(&["bags/demo.bag", "--knob", "max_iterations", "--values", "1,0"], 2);
     assert!(value.contains("matching.max_iterations") && value.contains("1 to 1000"), "{value}");
-    let text = profile(&["bags/demo.bag", "--knob", "time_budget", "--values", "soon"], 1);
+    let text = profile(&["bags/demo.bag", "--knob", "time_budget", "--values", "soon"], 2);
     assert!(text.contains("time_budget") && text.contains("5ms"), "{text}");
     let variant = profile(&["bags/demo.bag", "--variant", "jump_table+point_to_lin"], 2);
     assert!(variant.contains("did you mean 'jump_table+point_to_line'?"), "{variant}");
@@ -221,7 +221,7 @@ fn mistakes_are_named_with_their_remedy() {
     profile(&["bags/demo.bag", "--speed", "3"], 2);
     profile(&["bags/demo.bag", "--values", "3"], 2);
     profile(&["bags/demo.bag", "--rounds", "0"], 2);
-    let two_knobs = profile(&["bags/demo.bag", "--knob", "beams", "--knob", "max_iterations", "--values", "3"], 1);
+    let two_knobs = profile(&["bags/demo.bag", "--knob", "beams", "--knob", "max_iterations", "--values", "3"], 2);
     assert!(two_knobs.contains("--values"), "{two_knobs}");
     let no_file = profile(&["bags/demo.bag", "--knob", "max_iterations", "--truth", "no/such.tum"], 1);
     assert!(no_file.contains("no/such.tum"), "{no_file}");

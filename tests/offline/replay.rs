@@ -116,7 +116,7 @@ fn bags_that_are_no_good_are_named_with_the_remedy() {
     assert!(no_odometry.contains("/wheels"), "{no_odometry}");
     let no_imu = failure(&["replay", "bags/demo.bag", "--imu-topic", "/imu"], 1);
     assert!(no_imu.contains("/imu") && no_imu.contains("sensor_msgs/Imu"), "{no_imu}");
-    let typo = failure(&["replay", "bags/demo.bag", "--set", "matching.max_iteration=5"], 1);
+    let typo = failure(&["replay", "bags/demo.bag", "--set", "matching.max_iteration=5"], 2);
     assert!(typo.contains("matching.max_iterations"), "{typo}");
     let no_truth = failure(&["replay", "bags/demo.bag", "--truth", "nowhere.tum"], 1);
     assert!(no_truth.contains("nowhere.tum"), "{no_truth}");

@@ -1,6 +1,6 @@
 //! The arguments by which every subcommand takes its knobs.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anytime_scan_matcher::config::{Config, ConfigError};
 use clap::Args;
@@ -16,6 +16,11 @@ pub(crate) struct Configuration {
 }
 
 impl Configuration {
+    /// The file, if there is one.
+    pub(crate) fn file(&self) -> Option<&Path> {
+        self.config.as_deref()
+    }
+
     pub(crate) fn load(&self) -> Result<Config, ConfigError> {
         let mut config = Config::default();
         if let Some(path) = &self.config {

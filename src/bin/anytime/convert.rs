@@ -8,10 +8,12 @@ use anytime_scan_matcher::io::carmen::{CarmenLog, Mended, Mount, record};
 use anytime_scan_matcher::knobs::KnobValue;
 use clap::Args;
 
+use crate::input_flags::Files;
+
 /// Turn a CARMEN log into a bag
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// The log: lines of FLASER or ROBOTLASER1, and ODOM; packed with bzip2 or not
+    /// The log: lines of FLASER, ROBOTLASER1 or RAWLASER1, and ODOM; packed with bzip2 or gzip, or not
     #[arg(value_name = "IN.clf")]
     log: PathBuf,
     /// The bag to write, with scans, odometry, and where the laser sits
@@ -32,8 +34,9 @@ fn field_of_view(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { log: path, out, fov, compression } = arguments;
+    Files::default().read("the log", Some(path)).written("the bag", Some(out)).check()?;
     let log = CarmenLog::read(path, *fov)?;
-    record::record(&log, BagWriter::create(out, *compression)?)?;
+    record::record(&log, BagWriter::create_whole(out, *compression)?)?;
     let mut text = format!("{}: {} scans", out.display(), log.scans.len());
     if log.mended.count > 0 {
         let Mended { count, most } = log.mended;
@@ -41,11 +44,14 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     }
     let where_from = match log.mount() {
         Mount::Scans(_) => None,
-        Mount::Parameter(pose) => Some(format!("{} m ahead of base_link, as PARAM says", pose.x)),
-        Mount::Unknown => Some("taken to be at base_link".into()),
+        Mount::Parameter(pose) => {
+            Some(format!("{} m ahead of base_link, as PARAM says: the scans tell no fixed place on the robot", pose.x))
+        }
+        Mount::Untold => Some("taken to be at base_link: the scans carry no poses".into()),
+        Mount::Unknown => Some("taken to be at base_link: its poses in the scans are no fixed place on the robot".into()),
     };
     if let Some(where_from) = where_from {
-        write!(text, "\nlaser {where_from}: its poses in the scans are no fixed place on the robot")?;
+        write!(text, "\nlaser {where_from}")?;
     }
     if let Some((line, problem)) = log.damaged.first() {
         write!(text, "\n{} damaged lines left out; the first: {}:{line}: {problem}", log.damaged.len(), path.display())?;

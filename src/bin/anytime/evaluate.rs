@@ -3,9 +3,13 @@
 use std::path::PathBuf;
 
 use anytime_scan_matcher::evaluation::plot::trajectory_plot;
+use anytime_scan_matcher::evaluation::relations::RelationErrors;
 use anytime_scan_matcher::evaluation::report::{Comparison, Report};
 use anytime_scan_matcher::io::{relations, tum};
 use clap::Args;
+
+use crate::input_flags::{Files, picture};
+use crate::outcome::shown;
 
 /// Compare a trajectory with the truth: ATE, RPE, relations
 #[derive(Args)]
@@ -18,7 +22,7 @@ pub(crate) struct Arguments {
     #[arg(long)]
     json: bool,
     /// Draw the trajectory (and the truth and the errors) to this SVG file
-    #[arg(long, value_name = "OUT.svg")]
+    #[arg(long, value_name = "OUT.svg", value_parser = picture)]
     plot: Option<PathBuf>,
     /// Length of path over which RPE measures drift, m
     #[arg(long, value_name = "M", default_value_t = Comparison::default().rpe_distance, value_parser = positive)]
@@ -45,6 +49,12 @@ fn positive(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { trajectory, reference, json, plot, rpe_distance, max_dt } = arguments;
+    Files::default()
+        .read("the trajectory", Some(trajectory))
+        .read("--truth", reference.truth.as_deref())
+        .read("--relations", reference.relations.as_deref())
+        .written("--plot", plot.as_deref())
+        .check()?;
     let estimate = tum::read(trajectory)?;
     let truth = reference.truth.as_deref().map(tum::read).transpose()?;
     let relations = reference.relations.as_deref().map(relations::read).transpose()?;
@@ -53,5 +63,10 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     if let Some(path) = plot {
         trajectory_plot(path, &estimate, truth.as_ref(), None, *max_dt)?;
     }
-    Ok(if *json { report.to_json().to_string() } else { report.to_string() })
+    let none_met = report.relations.as_ref().is_some_and(RelationErrors::none_met);
+    let problem = none_met.then(|| {
+        let path = reference.relations.as_deref().unwrap_or(trajectory).display();
+        format!("no relation of {path} has a pose within {max_dt} s of its stamps: is it of another log, or the clock another?")
+    });
+    shown(if *json { report.to_json().to_string() } else { report.to_string() }, problem)
 }

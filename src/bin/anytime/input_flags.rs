@@ -1,5 +1,7 @@
 //! The arguments by which a bag is replayed: topics, truth, clock and knobs.
 
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -8,6 +10,7 @@ use anytime_scan_matcher::anytime::clock::ProcessorClock;
 use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock, VirtualClock};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::io::bag::{Bag, BagError};
+use anytime_scan_matcher::output::{Role, check_roles};
 use anytime_scan_matcher::replay::Topics;
 use clap::{Args, ValueEnum};
 
@@ -44,6 +47,51 @@ impl InputFlags {
     pub(crate) fn topics(&self, bag: &Bag) -> Result<Topics, BagError> {
         let topics = Topics::resolve(bag, &self.scan_topic, self.odom_topic.as_deref())?;
         if self.scan_only { Ok(topics.scan_only()) } else { topics.with_imu(bag, self.imu_topic.as_deref()) }
+    }
+}
+
+/// The files that a run reads and writes.
+#[derive(Default)]
+pub(crate) struct Files<'a> {
+    inputs: Vec<Role<'a>>,
+    outputs: Vec<Role<'a>>,
+}
+
+impl<'a> Files<'a> {
+    pub(crate) fn read(mut self, role: &'a str, path: Option<&'a Path>) -> Self {
+        self.inputs.extend(path.map(|path| (role, path)));
+        self
+    }
+
+    pub(crate) fn written(mut self, role: &'a str, path: Option<&'a Path>) -> Self {
+        self.outputs.extend(path.map(|path| (role, path)));
+        self
+    }
+
+    /// What the flags name, and the parameters.
+    pub(crate) fn of(self, flags: &'a InputFlags, config: &'a Config) -> Self {
+        let path = |name: &'a Option<String>| name.as_deref().map(Path::new);
+        self.read("--truth", path(&flags.truth))
+            .read("--config", flags.configuration.file())
+            .read("contract.profile", path(&config.contract.profile))
+            .read("localization.map", path(&config.localization.map))
+            .written("contract.cost_file", path(&config.contract.cost_file))
+    }
+
+    /// Refuses an output that is an input, or another output.
+    pub(crate) fn check(&self) -> anyhow::Result<()> {
+        Ok(check_roles(&self.inputs, &self.outputs)?)
+    }
+}
+
+/// The name of a picture to draw.
+pub(crate) fn picture(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    match path.extension().and_then(OsStr::to_str) {
+        Some(kind) if !kind.eq_ignore_ascii_case("svg") => {
+            Err(format!("only SVG is drawn, not {kind}: give a name that ends in .svg"))
+        }
+        _ => Ok(path),
     }
 }
 

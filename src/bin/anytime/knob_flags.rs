@@ -2,8 +2,10 @@
 
 use std::convert::Infallible;
 
-use anyhow::{anyhow, bail};
+use anyhow::bail;
 use anytime_scan_matcher::knobs::{KnobGroup, Value};
+
+use crate::outcome::usage;
 
 /// The value a flag was given: a number, a list, or else text.
 #[allow(clippy::unnecessary_wraps)] // the form clap asks for
@@ -24,7 +26,7 @@ pub(crate) fn help<G: KnobGroup + Default>(name: &str) -> String {
 pub(crate) fn set(group: &mut dyn KnobGroup, name: &str, value: Option<&Value>) -> anyhow::Result<()> {
     match value.map(|value| group.set(name, value)) {
         None | Some(Some(Ok(()))) => Ok(()),
-        Some(Some(Err(problem))) => Err(anyhow!("{name}: {problem}")),
+        Some(Some(Err(problem))) => Err(usage(format!("{name}: {problem}"))),
         Some(None) => bail!("there is no knob {name}"),
     }
 }

@@ -1,13 +1,12 @@
 //! `anytime localize`.
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
 
 use anyhow::{Context, bail};
 use anytime_scan_matcher::app::MountSource;
 use anytime_scan_matcher::app::localizer::Localizer;
+use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::evaluation::association::associate;
 use anytime_scan_matcher::evaluation::report::Comparison;
 use anytime_scan_matcher::evaluation::trajectory::Trajectory;
@@ -15,12 +14,15 @@ use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::io::tum::TumWriter;
-use anytime_scan_matcher::knobs::Seconds;
+use anytime_scan_matcher::knobs::Value;
+use anytime_scan_matcher::output::OutputFile;
 use anytime_scan_matcher::replay::localize::{BeliefFile, LocalizationSummary, errors, localize};
 use anytime_scan_matcher::replay::truth;
 use clap::Args;
 
-use crate::input_flags::InputFlags;
+use crate::input_flags::{Files, InputFlags};
+use crate::knob_flags::value;
+use crate::outcome::usage;
 use crate::progress;
 
 /// Find the robot of a bag on a map, by a particle filter
@@ -39,9 +41,9 @@ pub(crate) struct Arguments {
     /// Where the robot starts, m and rad [default: `localization.initial_pose`; else the first true pose; else the origin of the map]
     #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
     initial_pose: Option<Pose2>,
-    /// Time from a scan's arrival to its pose, such as 5ms [default: `contract.time_budget`]
-    #[arg(long, value_parser = humantime::parse_duration)]
-    time_budget: Option<Duration>,
+    /// Time from a scan's arrival to its pose, such as 5ms; without a unit, seconds [default: `contract.time_budget`]
+    #[arg(long, value_parser = value, allow_hyphen_values = true)]
+    time_budget: Option<Value>,
     /// Write the pose of every scan; `anytime profile` takes it for a truth
     #[arg(long, value_name = "OUT.tum")]
     tum: Option<PathBuf>,
@@ -68,16 +70,17 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     if let Some(particles) = arguments.particles {
         config.set("localization.particles", &particles.into(), "--particles")?;
     }
-    if let Some(budget) = arguments.time_budget {
-        config.contract.time_budget = Seconds(budget.as_secs_f64());
+    if let Some(budget) = &arguments.time_budget {
+        config.set("contract.time_budget", budget, "--time-budget")?;
     }
+    let map = arguments.map.clone().or(config.localization.map.as_ref().map(PathBuf::from));
+    let map = map.ok_or_else(|| usage("there is no map: --map M.yaml, or the parameter localization.map"))?;
+    files(arguments, &config).check()?;
     arguments.input.clock.prepare(&mut config);
     let clock = arguments.input.clock.clock();
     let bag = Bag::open(&arguments.bag)?;
     let topics = arguments.input.topics(&bag)?;
     let truth = arguments.input.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
-    let map = arguments.map.clone().or(config.localization.map.as_ref().map(PathBuf::from));
-    let map = map.context("there is no map: --map M.yaml, or the parameter localization.map")?;
     let mut localizer = Localizer::new(map_file::read(&map)?, &config, Arc::clone(&clock))?;
     localizer.warm_up();
     if arguments.global {
@@ -103,7 +106,14 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     })?;
     progress.finish_and_clear();
     if summary.poses().is_empty() {
-        bail!("{}: no scan on {} could be used", arguments.bag.display(), topics.scan);
+        let why = if summary.useless().is_empty() { log.reasons(&bag) } else { format!(": {}", summary.useless()) };
+        bail!("{}: no scan on {} could be used{why}", arguments.bag.display(), topics.scan);
+    }
+    if let Some(tum) = tum {
+        tum.into_sink().commit().context("cannot write the trajectory")?;
+    }
+    if let Some(csv) = csv {
+        csv.into_sink().and_then(|mut file| file.commit()).context("cannot write the CSV file")?;
     }
     let trajectory = Trajectory::new(summary.poses().to_vec())?;
     let matched = truth.map(|truth| associate(&trajectory, &truth, Comparison::default().max_dt)).transpose()?;
@@ -127,6 +137,15 @@ fn reservations(localizer: &Localizer) -> Vec<String> {
     assumed.into_iter().chain(guessed).collect()
 }
 
-fn create(path: &Path) -> anyhow::Result<File> {
-    File::create(path).with_context(|| format!("cannot create {}", path.display()))
+fn files<'a>(arguments: &'a Arguments, config: &'a Config) -> Files<'a> {
+    Files::default()
+        .of(&arguments.input, config)
+        .read("the bag", Some(&arguments.bag))
+        .read("--map", arguments.map.as_deref())
+        .written("--tum", arguments.tum.as_deref())
+        .written("--csv", arguments.csv.as_deref())
+}
+
+fn create(path: &Path) -> anyhow::Result<OutputFile> {
+    OutputFile::create(path).with_context(|| format!("cannot create {}", path.display()))
 }

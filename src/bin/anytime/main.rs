@@ -8,6 +8,7 @@ mod info;
 mod input_flags;
 mod knob_flags;
 mod localize;
+mod outcome;
 mod profile;
 mod profile_flags;
 mod progress;
@@ -54,8 +55,9 @@ fn main() -> ExitCode {
     match outcome {
         Ok(text) => print(&text),
         Err(error) => {
+            let shown = error.downcast_ref::<outcome::Hollow>().map(|hollow| print(&hollow.text));
             eprintln!("anytime: {error:#}");
-            ExitCode::FAILURE
+            shown.filter(|code| *code != ExitCode::SUCCESS).unwrap_or_else(|| outcome::exit_code(&error))
         }
     }
 }

@@ -1,10 +1,12 @@
 //! `anytime profile`.
 
 use std::env;
+use std::fmt::Write as _;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::io::bag::{Bag, Compression};
 use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
@@ -14,6 +16,8 @@ use anytime_scan_matcher::profile::run::Input;
 use anytime_scan_matcher::profile::study::{Names, Study};
 use anytime_scan_matcher::replay::truth;
 
+use crate::input_flags::Files;
+use crate::outcome::usage;
 use crate::profile_flags::Arguments;
 use crate::{progress, simulate};
 
@@ -24,6 +28,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { out, input, .. } = arguments;
     let mut config = input.configuration.load()?;
     input.clock.prepare(&mut config);
+    check_files(arguments, &config)?;
     let map = arguments.map.as_deref().map(map_file::read).transpose()?;
     let plan = Plan::new(&config, &arguments.variants()?, &arguments.sweeps()?, arguments.rounds, arguments.seed)?;
     fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
@@ -44,7 +49,26 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     progress.println(format!("{} cases in {} rounds: {} runs", plan.cases.len(), plan.rounds, plan.runs()));
     study.conduct(out, || progress.inc(1))?;
     progress.finish_and_clear();
-    Ok(format!("{}: {} runs", out.join("report.html").display(), plan.runs()))
+    let mut text = format!("{}: {} runs", out.join("report.html").display(), plan.runs());
+    for problem in bag.problems().iter() {
+        write!(text, "\nwarning: the bag is damaged: {problem}")?;
+    }
+    Ok(text)
+}
+
+/// What a study writes besides pictures and the tables of scans.
+const WRITTEN: [&str; 6] = ["runs.csv", "summary.csv", "profile.yaml", "report.html", "drive.bag", "drive.tum"];
+
+fn check_files(arguments: &Arguments, config: &Config) -> anyhow::Result<()> {
+    let written = WRITTEN.map(|name| arguments.out.join(name));
+    let simulated = if arguments.world.is_some() { 0 } else { 2 };
+    let files = Files::default()
+        .of(&arguments.input, config)
+        .read("the bag", arguments.bag.as_deref())
+        .read("--world", arguments.world.as_deref().map(Path::new))
+        .read("--map", arguments.map.as_deref());
+    let written = written.iter().take(WRITTEN.len() - simulated);
+    written.fold(files, |files, path| files.written("a file of --out", Some(path))).check()
 }
 
 /// The bag given, or that of the drive asked for.
@@ -63,9 +87,9 @@ fn truth_name(arguments: &Arguments, bag: &Bag) -> anyhow::Result<String> {
         None => {
             let candidates = [bag.topics_of::<PoseStamped>(), bag.topics_of::<Odometry>()].concat();
             let candidates = if candidates.is_empty() { "none".into() } else { candidates.join(", ") };
-            anyhow::bail!(
+            Err(usage(format!(
                 "errors need the truth: --truth FILE.tum, or --truth TOPIC with a topic of the bag (those that carry poses: {candidates})"
-            )
+            )))
         }
     }
 }

@@ -9,6 +9,7 @@ use anytime_scan_matcher::profile::variant::Variant;
 use clap::Args;
 
 use crate::input_flags::InputFlags;
+use crate::outcome::usage;
 use crate::simulation_flags::SimulationFlags;
 
 /// Measure delay and error of every variant over the values of its knobs: tables, pictures, a report, and a profile for planners
@@ -57,17 +58,18 @@ impl Arguments {
     pub(crate) fn variants(&self) -> anyhow::Result<Vec<Variant>> {
         let mut variants = if self.variant.is_empty() { Variant::matchers() } else { self.variant.clone() };
         match (variants.contains(&Variant::Filter), &self.map) {
-            (true, None) => anyhow::bail!("the particle filter needs a map: --map M.yaml"),
+            (true, None) => return Err(usage("the particle filter needs a map: --map M.yaml")),
             (false, Some(_)) => variants.push(Variant::Filter),
             _ => {}
         }
         for &knob in &self.knob {
             let is_turned = variants.iter().any(|&variant| knob.is_of(variant));
-            anyhow::ensure!(
-                is_turned,
-                "--knob {}: none of the variants has it (those of the particle filter take --map M.yaml)",
-                knob.name()
-            );
+            if !is_turned {
+                let name = knob.name();
+                let problem =
+                    format!("--knob {name}: none of the variants has it (those of the particle filter take --map M.yaml)");
+                return Err(usage(problem));
+            }
         }
         Ok(variants)
     }
@@ -75,10 +77,12 @@ impl Arguments {
     pub(crate) fn sweeps(&self) -> anyhow::Result<Vec<Sweep>> {
         if let ([knob], false) = (self.knob.as_slice(), self.values.is_empty()) {
             let values = self.values.iter().map(|text| knob.parse(text.trim())).collect::<Result<Vec<_>, _>>();
-            let values = values.map_err(|problem| anyhow::anyhow!("--values: {problem}"))?;
+            let values = values.map_err(|problem| usage(format!("--values: {problem}")))?;
             return Ok(vec![Sweep { knob: *knob, values: Some(values) }]);
         }
-        anyhow::ensure!(self.values.is_empty(), "--values are those of one knob: give --knob once, or leave --values out");
+        if !self.values.is_empty() {
+            return Err(usage("--values are those of one knob: give --knob once, or leave --values out"));
+        }
         let knobs = if self.knob.is_empty() { Knob::ALL } else { &self.knob };
         Ok(knobs.iter().map(|&knob| Sweep { knob, values: None }).collect())
     }

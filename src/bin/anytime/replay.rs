@@ -3,24 +3,27 @@
 use std::sync::Arc;
 
 use anytime_scan_matcher::app::App;
+use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::evaluation::plot::trajectory_plot;
 use anytime_scan_matcher::evaluation::report::{Comparison, Report};
 use anytime_scan_matcher::evaluation::trajectory::Trajectory;
 use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::io::contract_schedule;
-use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::replay::recorder::{OutputFiles, RecordError, Recorder};
 use anytime_scan_matcher::replay::summary::Ending;
 use anytime_scan_matcher::replay::{Source, replay, truth};
 
+use crate::input_flags::Files;
+use crate::outcome::shown;
 use crate::progress;
 use crate::replay_flags::Arguments;
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let mut config = arguments.input.configuration.load()?;
-    if let Some(budget) = arguments.time_budget {
-        config.contract.time_budget = Seconds(budget.as_secs_f64());
+    if let Some(budget) = &arguments.time_budget {
+        config.set("contract.time_budget", budget, "--time-budget")?;
     }
+    files(arguments, &config).check()?;
     let bag = Bag::open(&arguments.bag)?;
     let topics = arguments.input.topics(&bag)?;
     let truth = arguments.input.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
@@ -35,9 +38,12 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let source = Source { bag: &bag, topics: &topics, schedule: &schedule };
     let log = replay::<RecordError>(&source, &mut app, &*clock, tick, |scan, estimate, app| recorder.add(scan, estimate, app))?;
     progress.finish_and_clear();
+    if recorder.summary().poses().is_empty() {
+        anyhow::bail!("{}: no scan on {} could be read{}", arguments.bag.display(), topics.scan, log.reasons(&bag));
+    }
+    recorder.finish()?;
     app.store_costs()?;
     let summary = recorder.summary();
-    anyhow::ensure!(!summary.poses().is_empty(), "{}: no scan on {} could be read", arguments.bag.display(), topics.scan);
     let trajectory = Trajectory::new(summary.poses().to_vec())?;
     let report = truth.as_ref().map(|truth| Report::new(&trajectory, Some(truth), None, Comparison::default())).transpose()?;
     if let Some(path) = &arguments.plot {
@@ -50,5 +56,16 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         report,
         bag_problems: bag.problems().iter().map(ToString::to_string).collect(),
     };
-    Ok(if arguments.json { summary.to_json(&ending).to_string() } else { summary.to_text(&ending) })
+    let text = if arguments.json { summary.to_json(&ending).to_string() } else { summary.to_text(&ending) };
+    shown(text, summary.hollow().map(|problem| format!("{}: {problem}", arguments.bag.display())))
+}
+
+fn files<'a>(arguments: &'a Arguments, config: &'a Config) -> Files<'a> {
+    Files::default()
+        .of(&arguments.input, config)
+        .read("the bag", Some(&arguments.bag))
+        .read("--contract-schedule", arguments.contract_schedule.as_deref())
+        .written("--tum", arguments.tum.as_deref())
+        .written("--csv", arguments.csv.as_deref())
+        .written("--plot", arguments.plot.as_deref())
 }

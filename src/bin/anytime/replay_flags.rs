@@ -1,19 +1,20 @@
 //! Arguments of `anytime replay`.
 
 use std::path::PathBuf;
-use std::time::Duration;
 
+use anytime_scan_matcher::knobs::Value;
 use clap::Args;
 
-use crate::input_flags::InputFlags;
+use crate::input_flags::{InputFlags, picture};
+use crate::knob_flags::value;
 
 /// Match every scan of a bag, through the very code the node runs
 #[derive(Args)]
 pub(crate) struct Arguments {
     pub(crate) bag: PathBuf,
-    /// Time that a scan's answer may take, such as 5ms [default: `contract.time_budget`]
-    #[arg(long, value_parser = humantime::parse_duration)]
-    pub(crate) time_budget: Option<Duration>,
+    /// Time that a scan's answer may take, such as 5ms; without a unit, seconds [default: `contract.time_budget`]
+    #[arg(long, value_parser = value, allow_hyphen_values = true)]
+    pub(crate) time_budget: Option<Value>,
     /// Contracts over time: a CSV file with the columns time (s since the first scan), `time_budget`, `translation_error_bound`,
     /// `rotation_error_bound`
     #[arg(long, value_name = "FILE.csv")]
@@ -25,7 +26,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "OUT.csv")]
     pub(crate) csv: Option<PathBuf>,
     /// Draw the trajectory, the scans and the truth
-    #[arg(long, value_name = "OUT.svg")]
+    #[arg(long, value_name = "OUT.svg", value_parser = picture)]
     pub(crate) plot: Option<PathBuf>,
     /// Print one JSON object
     #[arg(long)]

@@ -1,7 +1,6 @@
 //! `anytime simulate`.
 
-use std::fs::File;
-use std::io::{BufWriter, Write, sink};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -9,12 +8,15 @@ use anytime_scan_matcher::io::bag::{BagWriter, Compression};
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::io::{map_file, simulated_bag};
 use anytime_scan_matcher::knobs::KnobValue;
+use anytime_scan_matcher::output::OutputFile;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{DriveKnobs, Settings};
 use anytime_scan_matcher::simulation::scene::Scene;
 use clap::Args;
 
+use crate::input_flags::Files;
 use crate::knob_flags::help;
+use crate::outcome::usage;
 use crate::simulation_flags::SimulationFlags;
 
 /// Drive a simulated racecar and write its scans and odometry to a bag
@@ -40,6 +42,11 @@ pub(crate) struct Arguments {
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { world, out, truth, compression, seed, flags } = arguments;
+    Files::default()
+        .read("--world", Some(Path::new(world)))
+        .written("--out", Some(out))
+        .written("--truth", truth.as_deref())
+        .check()?;
     let scans = drive(world, &flags.settings(*seed)?, out, *compression, truth.as_deref())?;
     Ok(format!("{}: {scans} scans", out.display()))
 }
@@ -53,17 +60,24 @@ pub(crate) fn drive(
     truth: Option<&Path>,
 ) -> anyhow::Result<u64> {
     let scene = scene(world, settings.drive.seed)?;
-    let truth: Box<dyn Write> = match truth {
-        Some(path) => Box::new(BufWriter::new(File::create(path).with_context(|| format!("cannot create {}", path.display()))?)),
-        None => Box::new(sink()),
-    };
-    let bag = BagWriter::create(out, compression)?;
-    Ok(simulated_bag::record(settings, &scene, bag, TumWriter::new(truth))?)
+    let create = |path: &Path| OutputFile::create(path).with_context(|| format!("cannot create {}", path.display()));
+    let mut file = truth.map(create).transpose()?;
+    let bag = BagWriter::create_whole(out, compression)?;
+    // The truth is small: a line for every scan.
+    let mut poses = Vec::new();
+    let scans = simulated_bag::record(settings, &scene, bag, TumWriter::new(&mut poses))?;
+    if let (Some(file), Some(path)) = (&mut file, truth) {
+        file.write_all(&poses).and_then(|()| file.commit()).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(scans)
 }
 
 fn scene(world: &str, seed: u32) -> anyhow::Result<Scene> {
     match BuiltIn::from_value(&world.into()) {
         Ok(which) => Ok(Scene::built_in(which)?),
+        Err(expected) if !Path::new(world).exists() => {
+            Err(usage(format!("--world: {expected}, and there is no map of that name")))
+        }
         Err(expected) => {
             let map = map_file::read(Path::new(world)).with_context(|| format!("--world: {expected}, or a map"))?;
             Scene::in_map(map, seed).with_context(|| format!("--world {world}"))

@@ -17,6 +17,7 @@ use super::association::{AssociationError, associate};
 use super::ate::ate;
 use super::trajectory::Trajectory;
 use crate::geometry::{Point, Pose2};
+use crate::output;
 pub use axis::Scale;
 pub use curves::{Panel, Series, curves};
 pub use style::{Colour, Dash, Look, Mark};
@@ -119,5 +120,5 @@ fn drawn(height: u32, draw: impl FnOnce(&Canvas) -> Result<(), DrawError>) -> Re
 
 /// Writes a picture to a file.
 pub fn write(path: &std::path::Path, svg: &str) -> Result<(), PlotError> {
-    std::fs::write(path, svg).map_err(|source| PlotError::Write { path: path.into(), source })
+    output::write(path, svg).map_err(|source| PlotError::Write { path: path.into(), source })
 }

@@ -30,6 +30,8 @@ pub(super) struct Chunk {
     pub(super) cut_off: bool,
     /// What it holds: from the bag's index, or from reading the chunk.
     pub(super) index: ChunkIndex,
+    /// An index record of it could not be read: only the chunk itself tells what it holds.
+    pub(super) badly_indexed: bool,
 }
 
 /// What a chunk holds, in short.
@@ -102,7 +104,8 @@ impl Content {
                 connection: fields.u32("conn")?,
                 data: end - data.len()..end,
             }),
-            op::CONNECTION => self.connections.push(Connection::parse(fields, data)?),
+            // Messages of one that cannot be read are said to be lost; the others are not.
+            op::CONNECTION => self.connections.extend(Connection::parse(fields, data)),
             other => return Err(format!("a record of kind {other} does not belong in a chunk")),
         }
         Ok(end)

@@ -1,8 +1,13 @@
 //! Connections: who published what on which topic.
 
+use std::borrow::Cow;
+
 use crate::messages::Message;
 
 use super::record::Fields;
+
+/// What stands where a type or a checksum is not known.
+const UNKNOWN: Cow<'static, str> = Cow::Borrowed("*");
 
 /// One publisher's messages on one topic. A topic that several nodes publish has several connections.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -13,7 +18,7 @@ pub struct Connection {
     pub topic: String,
     /// Type of the messages: `package/Name`.
     pub message_type: String,
-    /// Checksum of the type's definition; `*` when the publisher did not tell.
+    /// Checksum of the type's definition; `*` when the publisher, or the recorder, did not tell.
     pub md5: String,
     /// The full definition of the type.
     pub definition: String,
@@ -27,19 +32,28 @@ impl Connection {
     /// Whether its messages have the wire form of `T`. A type that was renamed and not changed (`tf/tfMessage`) serves too.
     pub fn carries<T: Message>(&self) -> bool {
         match self.md5.as_str() {
-            "*" => self.message_type == T::TYPE || self.message_type == "*",
+            "*" => self.message_type == T::TYPE || self.message_type == "*" || self.is_defined_as(&T::full_definition()),
             md5 => md5 == T::MD5,
         }
     }
 
-    /// From the header and data of a connection record. The data is itself a header: that of the TCP connection.
+    /// Whether its definition is this one, but for comments and spaces.
+    fn is_defined_as(&self, definition: &str) -> bool {
+        fn words(text: &str) -> impl Iterator<Item = &str> {
+            text.lines().flat_map(|line| line.split('#').next().unwrap_or_default().split_whitespace())
+        }
+        !self.definition.is_empty() && words(&self.definition).eq(words(definition))
+    }
+
+    /// From the header and data of a connection record. The data is itself a header: that of the TCP connection. Only the number and
+    /// the topic cannot be done without.
     pub(super) fn parse(record: Fields<'_>, data: &[u8]) -> Result<Self, String> {
         let header = Fields(data);
         Ok(Self {
             id: record.u32("conn")?,
-            topic: record.text("topic")?.into_owned(),
-            message_type: header.text("type")?.into_owned(),
-            md5: header.text("md5sum")?.into_owned(),
+            topic: record.text("topic").or_else(|_| header.text("topic"))?.into_owned(),
+            message_type: header.text("type").unwrap_or(UNKNOWN).into_owned(),
+            md5: header.text("md5sum").unwrap_or(UNKNOWN).into_owned(),
             definition: header.text("message_definition").unwrap_or_default().into_owned(),
             latching: header.bytes("latching") == Ok(b"1"),
             messages: 0,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
 use super::chunk::{Chunk, ChunkIndex};
 use super::compression::Compression;
@@ -14,6 +14,8 @@ use super::record::{Fields, op, stamp_from_bytes};
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 /// Largest connection record believed. Its longest text is a message definition.
 const MAX_CONNECTION_BYTES: u64 = 1 << 24;
+/// Time and place of a message in an index record.
+const INDEX_ENTRY_BYTES: u64 = 12;
 /// A file of garbage would give a problem every few bytes.
 pub(super) const MAX_PROBLEMS: usize = 100;
 
@@ -39,6 +41,7 @@ impl Layout {
             len,
             promised: Promised::default(),
             chunk_infos: 0,
+            landmarks: None,
             layout: Self::default(),
         };
         loop {
@@ -49,11 +52,7 @@ impl Layout {
             match pass.record() {
                 Ok(()) => {}
                 Err(Stop::Io(error)) => return Err(error),
-                Err(Stop::Damage(what)) => {
-                    let remedy = if pass.promised.index_at == 0 { REINDEX } else { COPY_AGAIN };
-                    pass.layout.problems.push(BagProblem { offset, what, bytes_lost: len - offset, remedy });
-                    break;
-                }
+                Err(Stop::Damage(what)) => pass.go_on_after(offset, what)?,
             }
         }
         Ok(pass.finish())
@@ -93,6 +92,8 @@ struct Pass<'f> {
     len: u64,
     promised: Promised,
     chunk_infos: usize,
+    /// Where one can go on after damage; `None` as long as there was none.
+    landmarks: Option<Vec<u64>>,
     layout: Layout,
 }
 
@@ -117,8 +118,13 @@ impl Pass<'_> {
             op::INDEX => self.index(fields, data_len),
             op::CONNECTION => {
                 let data = self.bytes(data_len, MAX_CONNECTION_BYTES)?;
-                let connection = Connection::parse(fields, &data)?;
-                self.layout.connections.entry(connection.id).or_insert(connection);
+                match Connection::parse(fields, &data) {
+                    Ok(connection) => drop(self.layout.connections.entry(connection.id).or_insert(connection)),
+                    Err(what) => {
+                        let bytes_lost = self.position - offset;
+                        self.problem(BagProblem { offset, what, bytes_lost, remedy: COPY_AGAIN });
+                    }
+                }
                 Ok(())
             }
             op::CHUNK_INFO => {
@@ -138,6 +144,46 @@ impl Pass<'_> {
         }
     }
 
+    /// Notes a record that makes no sense, and goes on at the next place that the index at the end knows.
+    fn go_on_after(&mut self, offset: u64, what: String) -> io::Result<()> {
+        if self.landmarks.is_none() {
+            self.landmarks = Some(self.find_landmarks()?);
+        }
+        let ahead = self.landmarks.iter().flatten().copied().filter(|place| *place > offset);
+        let next = ahead.min().unwrap_or(self.len);
+        let remedy = if self.promised.index_at == 0 { REINDEX } else { COPY_AGAIN };
+        self.problem(BagProblem { offset, what, bytes_lost: next - offset, remedy });
+        self.doubt_index();
+        self.go_to(next)
+    }
+
+    /// Where chunks begin, and the index, as far as the file has them.
+    fn find_landmarks(&mut self) -> io::Result<Vec<u64>> {
+        let index_at = self.promised.index_at;
+        if index_at == 0 || index_at >= self.len {
+            return Ok(Vec::new());
+        }
+        let mut places = vec![index_at];
+        self.go_to(index_at)?;
+        loop {
+            match self.chunk_place() {
+                Ok(place) => places.extend(place.filter(|place| *place < self.len)),
+                Err(Stop::Damage(_)) => return Ok(places),
+                Err(Stop::Io(error)) => return Err(error),
+            }
+        }
+    }
+
+    /// Reads past a record; tells where its chunk begins if it is a chunk info.
+    fn chunk_place(&mut self) -> Result<Option<u64>, Stop> {
+        let header_len = self.u32()?;
+        let header = self.bytes(header_len, MAX_HEADER_BYTES)?;
+        let data_len = self.u32()?;
+        self.skip(data_len)?;
+        let fields = Fields(&header);
+        Ok(if fields.op()? == op::CHUNK_INFO { Some(fields.u64("chunk_pos")?) } else { None })
+    }
+
     fn chunk(&mut self, offset: u64, fields: Fields<'_>, data_len: u64) -> Result<(), Stop> {
         let size = u64::from(fields.u32("size")?);
         let remaining = self.len - self.position;
@@ -154,6 +200,7 @@ impl Pass<'_> {
                 compression,
                 cut_off: unfinished || data_len > remaining,
                 index: ChunkIndex::default(),
+                badly_indexed: false,
             });
         } else {
             self.problem(BagProblem {
@@ -166,24 +213,59 @@ impl Pass<'_> {
         self.skip(packed)
     }
 
-    /// The times of one connection's messages in the chunk before.
+    /// The times of one connection's messages in the chunk before. An index that cannot be read costs nothing: its chunk is read instead.
     fn index(&mut self, fields: Fields<'_>, data_len: u64) -> Result<(), Stop> {
-        const ENTRY_BYTES: u64 = 12;
-        let connection = fields.u32("conn")?;
-        if fields.u32("ver")? != 1 {
-            return Err(Stop::Damage("an index of an unknown version".into()));
+        let start = self.position;
+        if let (Ok(1), Ok(connection), Ok(count)) = (fields.u32("ver"), fields.u32("conn"), fields.u32("count")) {
+            let entries = u64::from(count) * INDEX_ENTRY_BYTES;
+            // An old recorder wrote another length than that of the entries: the count holds where a record comes after so many.
+            if entries == data_len || self.is_record(start + entries)? {
+                return self.index_entries(connection, count);
+            }
         }
-        if data_len != u64::from(fields.u32("count")?) * ENTRY_BYTES {
-            return Err(Stop::Damage("an index whose length is not what its count says".into()));
-        }
-        self.check_remaining(data_len)?;
-        for _ in 0..data_len / ENTRY_BYTES {
+        self.doubt_index();
+        self.skip(data_len)
+    }
+
+    fn index_entries(&mut self, connection: u32, count: u32) -> Result<(), Stop> {
+        self.check_remaining(u64::from(count) * INDEX_ENTRY_BYTES)?;
+        for _ in 0..count {
             let time = stamp_from_bytes(self.array()?);
             let _offset_in_chunk: [u8; 4] = self.array()?;
             if let Some(chunk) = self.layout.chunks.last_mut() {
                 chunk.index.add(connection, time);
             }
         }
+        Ok(())
+    }
+
+    /// The last chunk is to be read, whatever its index says.
+    fn doubt_index(&mut self) {
+        if let Some(chunk) = self.layout.chunks.last_mut() {
+            chunk.badly_indexed = true;
+        }
+    }
+
+    /// Whether a record begins at `place`, or the file ends there.
+    fn is_record(&mut self, place: u64) -> io::Result<bool> {
+        let back = self.position;
+        if place >= self.len {
+            return Ok(place == self.len);
+        }
+        self.go_to(place)?;
+        let header = self.u32().and_then(|len| self.bytes(len, MAX_HEADER_BYTES));
+        let is_record = match header {
+            Ok(header) => Fields(&header).op().is_ok(),
+            Err(Stop::Damage(_)) => false,
+            Err(Stop::Io(error)) => return Err(error),
+        };
+        self.go_to(back)?;
+        Ok(is_record)
+    }
+
+    fn go_to(&mut self, place: u64) -> io::Result<()> {
+        self.input.seek(SeekFrom::Start(place))?;
+        self.position = place;
         Ok(())
     }
 

@@ -3,7 +3,7 @@
 use std::cell::{Ref, RefCell};
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use crate::knobs::nearest_name;
@@ -17,6 +17,9 @@ use super::error::{BagError, BagProblem, COPY_AGAIN};
 use super::layout::{Layout, MAX_PROBLEMS};
 use super::messages::Messages;
 use super::record::MAGIC;
+
+/// Bytes that tell what a file is.
+const LONGEST_MAGIC: u64 = 32;
 
 /// A bag opened for reading.
 ///
@@ -50,7 +53,7 @@ impl Bag {
         let mut file = File::open(path).map_err(BagError::io(path, "open"))?;
         let metadata = file.metadata().map_err(BagError::io(path, "read"))?;
         if metadata.is_dir() {
-            return Err(BagError::NotABag { path: path.into(), reason: "it is a directory".into() });
+            return Err(directory(path));
         }
         check_magic(path, &mut file)?;
         let layout = Layout::read(&file, MAGIC.len() as u64, metadata.len()).map_err(BagError::io(path, "read"))?;
@@ -78,8 +81,8 @@ impl Bag {
     fn index(&mut self, mut known: BTreeMap<u32, Connection>, complete: bool) -> Result<BTreeMap<u32, Connection>, BagError> {
         let last = self.chunks.len().saturating_sub(1);
         for i in 0..self.chunks.len() {
-            let index = &self.chunks[i].index;
-            let described = index.span.is_some() && index.counts.keys().all(|id| known.contains_key(id));
+            let Chunk { index, badly_indexed, .. } = &self.chunks[i];
+            let described = !badly_indexed && index.span.is_some() && index.counts.keys().all(|id| known.contains_key(id));
             // The file may end among the index records of its last chunk.
             if described && (complete || i < last) {
                 continue;
@@ -206,7 +209,8 @@ impl Bag {
         } else {
             format!("{} is on: {}", T::TYPE, candidates.join(", "))
         };
-        BagError::NoSuchTopic { path: self.path.clone(), topic: topic.into(), alternatives }
+        let damage = self.problems.borrow().first().map_or_else(String::new, |first| format!("; the bag is damaged: {first}"));
+        BagError::NoSuchTopic { path: self.path.clone(), topic: topic.into(), alternatives: alternatives + &damage }
     }
 }
 
@@ -214,24 +218,40 @@ fn is_wanted(topics: Option<&[&str]>, topic: &str) -> bool {
     topics.is_none_or(|topics| topics.contains(&topic))
 }
 
+/// Checks how the file begins, and leaves it at the first record.
 fn check_magic(path: &Path, file: &mut File) -> Result<(), BagError> {
     let mut start = Vec::new();
-    file.take(MAGIC.len() as u64).read_to_end(&mut start).map_err(BagError::io(path, "read"))?;
-    if start == MAGIC {
-        return Ok(());
+    file.take(LONGEST_MAGIC).read_to_end(&mut start).map_err(BagError::io(path, "read"))?;
+    if start.starts_with(MAGIC) {
+        return file.seek(SeekFrom::Start(MAGIC.len() as u64)).map(|_| ()).map_err(BagError::io(path, "read"));
     }
     let path = path.into();
-    if let Some(version) = start.strip_prefix(b"#ROSBAG V") {
+    if let Some(version) = start.strip_prefix(b"#ROSBAG V").or(start.strip_prefix(b"#ROSRECORD V")) {
+        let version = version.split(|byte| *byte == b'\n').next().unwrap_or_default();
         let what = format!("a bag of version {}", String::from_utf8_lossy(version).trim_end());
-        return Err(BagError::Unsupported { path, what, remedy: "`rosbag reindex` or `rosbag fix` makes a version 2.0 of it" });
+        return Err(BagError::Unsupported { path, what, remedy: "`rosbag fix OLD.bag NEW.bag` makes a version 2.0 of it" });
     }
     let reason = match start.as_slice() {
         [] => "it is empty",
         start if MAGIC.starts_with(start) => "it ends within its first line",
-        start if start.starts_with(b"SQLite format") || start.starts_with(b"\x89MCAP") => {
-            "it is a ROS 2 bag; `rosbags-convert` makes a ROS 1 bag of it"
-        }
+        start if start.starts_with(b"SQLite format 3") => return Err(ros2_bag(path, "SQLite (.db3)")),
+        start if start.starts_with(b"\x89MCAP") => return Err(ros2_bag(path, "MCAP (.mcap)")),
         _ => "it does not begin with `#ROSBAG V2.0`",
     };
     Err(BagError::NotABag { path, reason: reason.into() })
+}
+
+fn directory(path: &Path) -> BagError {
+    let is_of_ros2 =
+        |path: PathBuf| path.ends_with("metadata.yaml") || path.extension().is_some_and(|e| e == "db3" || e == "mcap");
+    let mut entries = path.read_dir().into_iter().flatten().flatten();
+    if entries.any(|entry| is_of_ros2(entry.path())) {
+        return ros2_bag(path.into(), "a folder of metadata.yaml and .db3 or .mcap files");
+    }
+    BagError::NotABag { path: path.into(), reason: "it is a directory".into() }
+}
+
+fn ros2_bag(path: PathBuf, form: &str) -> BagError {
+    let reason = format!("it is a ROS 2 bag, {form}; `rosbags-convert` (pip install rosbags) makes a ROS 1 bag of it");
+    BagError::NotABag { path, reason }
 }

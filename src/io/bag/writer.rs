@@ -1,11 +1,11 @@
 //! Bags written: chunks with their indices, then connections and chunk infos, then the bag header once more with the place of these.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use crate::messages::{self, Message};
+use crate::output::OutputFile;
 use crate::time::Stamp;
 
 use super::compression::Compression;
@@ -21,10 +21,11 @@ const BAG_HEADER_BYTES: usize = 4096;
 
 /// A bag being written. The same messages give the same bytes.
 ///
-/// Without [`BagWriter::finish`] the bag has no index, but all messages: readers say so and `rosbag reindex` repairs it.
+/// Without [`BagWriter::finish`] the bag of [`BagWriter::create`] has no index, but all messages: readers say so and `rosbag reindex`
+/// repairs it. One of [`BagWriter::create_whole`] is not there at all.
 pub struct BagWriter {
     path: PathBuf,
-    file: File,
+    file: OutputFile,
     compression: Compression,
     /// Bytes written to the file.
     position: u64,
@@ -60,12 +61,21 @@ struct ChunkInfo {
 }
 
 impl BagWriter {
-    /// Creates the file, or empties it.
+    /// Creates the file, or empties it: as a recorder does, whose bag is of use as far as it goes.
     pub fn create(path: impl AsRef<Path>, compression: Compression) -> Result<Self, BagError> {
-        let path = path.as_ref().to_path_buf();
-        let file = File::create(&path).map_err(BagError::io(&path, "create"))?;
+        let path = path.as_ref();
+        Self::begin(path, OutputFile::in_place(path).map_err(BagError::io(path, "create"))?, compression)
+    }
+
+    /// Begins a bag that will be in its place once it is finished; an older file stays until then.
+    pub fn create_whole(path: impl AsRef<Path>, compression: Compression) -> Result<Self, BagError> {
+        let path = path.as_ref();
+        Self::begin(path, OutputFile::create(path).map_err(BagError::io(path, "create"))?, compression)
+    }
+
+    fn begin(path: &Path, file: OutputFile, compression: Compression) -> Result<Self, BagError> {
         let mut writer = Self {
-            path,
+            path: path.to_path_buf(),
             file,
             compression,
             position: 0,
@@ -102,7 +112,8 @@ impl BagWriter {
         self.append(&index)?;
         let header = self.bag_header(index_at);
         self.file.seek(SeekFrom::Start(MAGIC.len() as u64)).map_err(BagError::io(&self.path, "write"))?;
-        self.append(&header)
+        self.append(&header)?;
+        self.file.commit().map_err(BagError::io(&self.path, "write"))
     }
 
     fn push<T: Message>(&mut self, topic: &str, latching: bool, time: Stamp, message: &T) -> Result<(), BagError> {

@@ -21,6 +21,8 @@ pub(super) enum Line {
     FrontLaser(CarmenScan),
     /// `ROBOTLASER1`.
     RobotLaser(CarmenScan),
+    /// `RAWLASER1`.
+    RawLaser(CarmenScan),
     /// `ODOM`.
     Odometry(CarmenOdometry),
     /// `PARAM robot_frontlaser_offset`, m.
@@ -87,13 +89,14 @@ pub(super) fn parse(line: &str, field_of_view: Option<f64>) -> Result<Line, Stri
         Some(word) if word.starts_with('#') => Ok(Line::Nothing),
         Some("FLASER") => front_laser(&mut columns, field_of_view).map(Line::FrontLaser),
         Some("ROBOTLASER1") => robot_laser(&mut columns).map(Line::RobotLaser),
+        Some("RAWLASER1") => raw_laser(&mut columns).map(Line::RawLaser),
         Some("ODOM") => odometry(&mut columns).map(Line::Odometry),
         Some("PARAM") => parameter(&mut columns),
         Some(word) if is_name(word) => Ok(Line::Other(word.into())),
         Some(word) => {
             let shown: String = word.chars().take(LONGEST_NAME).collect();
             Err(format!(
-                "`{shown}` begins no line of a CARMEN log: expected FLASER, ROBOTLASER1, ODOM, or another name in capitals"
+                "`{shown}` begins no line of a CARMEN log: expected FLASER, ROBOTLASER1, RAWLASER1, ODOM, or another name in capitals"
             ))
         }
     }
@@ -117,32 +120,59 @@ fn front_laser(columns: &mut Columns, field_of_view: Option<f64>) -> Result<Carm
         // 181 beams go from -90 to 90 degrees; of 180 the last is missing.
         None => (-FRAC_PI_2, PI / if beams % 2 == 1 { steps } else { steps + 1.0 }),
     };
-    Ok(CarmenScan { odometry, odom_from_laser, angle_min, angle_increment, nothing_seen: None, ranges })
+    let posed = true;
+    Ok(CarmenScan { odometry, odom_from_laser, posed, angle_min, angle_increment, nothing_seen: None, ranges })
 }
 
-/// `ROBOTLASER1 laser_type start_angle field_of_view angular_resolution maximum_range accuracy remission_mode n [ranges]
-/// m [remissions] laser_x laser_y laser_theta robot_x robot_y robot_theta tv rv forward_safety side_safety turn_axis
+/// What `ROBOTLASER1` and `RAWLASER1` lines begin with: `laser_type start_angle field_of_view angular_resolution maximum_range accuracy
+/// remission_mode n [ranges] m [remissions]`.
+struct Sweep {
+    angle_min: f64,
+    angle_increment: f64,
+    nothing_seen: Option<f64>,
+    ranges: Vec<f32>,
+}
+
+impl Sweep {
+    fn read(columns: &mut Columns) -> Result<Self, String> {
+        let [_, angle_min, _, angle_increment, nothing_seen, _, _] = columns.numbers([
+            "laser_type",
+            "start_angle",
+            "field_of_view",
+            "angular_resolution",
+            "maximum_range",
+            "accuracy",
+            "remission_mode",
+        ])?;
+        let beams = columns.count("num_readings")?;
+        let ranges = columns.ranges(beams)?;
+        let remissions = columns.count("num_remissions")?;
+        columns.ranges(remissions)?;
+        Ok(Self { angle_min, angle_increment, nothing_seen: Some(nothing_seen).filter(|range| *range > 0.0), ranges })
+    }
+
+    fn scan(self, odometry: CarmenOdometry, odom_from_laser: Pose2, posed: bool) -> CarmenScan {
+        let Self { angle_min, angle_increment, nothing_seen, ranges } = self;
+        CarmenScan { odometry, odom_from_laser, posed, angle_min, angle_increment, nothing_seen, ranges }
+    }
+}
+
+/// `ROBOTLASER1 [sweep] laser_x laser_y laser_theta robot_x robot_y robot_theta tv rv forward_safety side_safety turn_axis
 /// ipc_timestamp ...`
 fn robot_laser(columns: &mut Columns) -> Result<CarmenScan, String> {
-    let [_, angle_min, _, angle_increment, nothing_seen, _, _] = columns.numbers([
-        "laser_type",
-        "start_angle",
-        "field_of_view",
-        "angular_resolution",
-        "maximum_range",
-        "accuracy",
-        "remission_mode",
-    ])?;
-    let beams = columns.count("num_readings")?;
-    let ranges = columns.ranges(beams)?;
-    let remissions = columns.count("num_remissions")?;
-    columns.ranges(remissions)?;
+    let sweep = Sweep::read(columns)?;
     let odom_from_laser = columns.pose(["laser_pose_x", "laser_pose_y", "laser_pose_theta"])?;
     let odom_from_base = columns.pose(["robot_pose_x", "robot_pose_y", "robot_pose_theta"])?;
     let [tv, rv, ..] = columns.numbers(["laser_tv", "laser_rv", "forward_safety_dist", "side_safety_dist", "turn_axis"])?;
     let odometry = CarmenOdometry { stamp: columns.stamp()?, odom_from_base, velocity: Some((tv, rv)) };
-    let nothing_seen = Some(nothing_seen).filter(|range| *range > 0.0);
-    Ok(CarmenScan { odometry, odom_from_laser, angle_min, angle_increment, nothing_seen, ranges })
+    Ok(sweep.scan(odometry, odom_from_laser, true))
+}
+
+/// `RAWLASER1 [sweep] ipc_timestamp ...`
+fn raw_laser(columns: &mut Columns) -> Result<CarmenScan, String> {
+    let sweep = Sweep::read(columns)?;
+    let odometry = CarmenOdometry { stamp: columns.stamp()?, odom_from_base: Pose2::IDENTITY, velocity: None };
+    Ok(sweep.scan(odometry, Pose2::IDENTITY, false))
 }
 
 /// `ODOM x y theta tv rv accel ipc_timestamp ...`

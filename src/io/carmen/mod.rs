@@ -1,4 +1,4 @@
-//! CARMEN logs: text with one message on each line, packed with bzip2 or not.
+//! CARMEN logs: text with one message on each line, packed with bzip2 or gzip, or not.
 //!
 //! The public logs of the field are of many hands: this reader takes what it can use, counts what it leaves out, and says where.
 
@@ -18,6 +18,8 @@ use line::Line;
 
 /// What a log must have at least one of.
 const EXPECTED: &str = "FLASER n [ranges] x y theta odom_x odom_y odom_theta ipc_timestamp ipc_hostname logger_timestamp";
+/// What a file packed with gzip begins with.
+const GZIP: &[u8] = b"\x1f\x8b";
 /// Laser poses that keep within this of one place on the robot (m, rad) are a mount; others are corrected by some other program.
 const MOUNT_TOLERANCE: f64 = 2e-3;
 /// No reading beyond is a distance, m: lasers by SICK report their errors as 81.83 m and more.
@@ -43,6 +45,8 @@ pub struct CarmenScan {
     pub odometry: CarmenOdometry,
     /// Where the line has the laser.
     pub odom_from_laser: Pose2,
+    /// Whether the line tells these poses; those of `RAWLASER1` lines do not, and stand at the origin.
+    pub posed: bool,
     /// Direction of the first beam, rad.
     pub angle_min: f64,
     /// Angle from beam to beam, rad.
@@ -77,6 +81,8 @@ pub enum Mount {
     Scans(Pose2),
     /// The scans do not, but a `PARAM` line tells.
     Parameter(Pose2),
+    /// The scans do not tell where they were taken, and nothing else does: taken to be in the centre of the robot.
+    Untold,
     /// Nothing tells: taken to be in the centre of the robot.
     Unknown,
 }
@@ -86,7 +92,7 @@ impl Mount {
     pub fn laser_in_base(self) -> Pose2 {
         match self {
             Self::Scans(pose) | Self::Parameter(pose) => pose,
-            Self::Unknown => Pose2::IDENTITY,
+            Self::Untold | Self::Unknown => Pose2::IDENTITY,
         }
     }
 }
@@ -101,11 +107,12 @@ impl CarmenLog {
     /// Reads a log from its text; `path` names it in errors.
     pub fn parse(text: &str, path: &Path, field_of_view: Option<f64>) -> Result<Self, TextFileError> {
         let mut log = Self::default();
-        let mut robot_lasers = Vec::new();
+        let (mut robot_lasers, mut raw_lasers) = (Vec::new(), Vec::new());
         for (index, line) in text.lines().enumerate() {
             match line::parse(line, field_of_view) {
                 Ok(Line::FrontLaser(scan)) => log.scans.push(scan),
                 Ok(Line::RobotLaser(scan)) => robot_lasers.push(scan),
+                Ok(Line::RawLaser(scan)) => raw_lasers.push(scan),
                 Ok(Line::Odometry(odometry)) => log.odometry.push(odometry),
                 Ok(Line::FrontLaserOffset(offset)) => log.frontlaser_offset = Some(offset),
                 Ok(Line::Other(kind)) => *log.passed_over.entry(kind).or_default() += 1,
@@ -116,6 +123,12 @@ impl CarmenLog {
         // Some logs have every scan in both forms.
         if robot_lasers.len() >= log.scans.len() {
             log.scans = robot_lasers;
+        }
+        // Scans without poses are of use where there are no others.
+        if log.scans.is_empty() {
+            log.scans = raw_lasers;
+        } else if !raw_lasers.is_empty() {
+            log.passed_over.insert("RAWLASER1".into(), raw_lasers.len());
         }
         if log.scans.is_empty() {
             let path = path.to_path_buf();
@@ -138,10 +151,16 @@ impl CarmenLog {
             off.distance() <= MOUNT_TOLERANCE && off.theta.abs() <= MOUNT_TOLERANCE
         };
         match self.frontlaser_offset {
-            _ if self.scans.iter().map(offset).all(is_seen) => Mount::Scans(seen),
+            _ if self.has_poses() && self.scans.iter().map(offset).all(is_seen) => Mount::Scans(seen),
             Some(ahead) => Mount::Parameter(Pose2::new(ahead, 0.0, 0.0)),
-            None => Mount::Unknown,
+            None if self.has_poses() => Mount::Unknown,
+            None => Mount::Untold,
         }
+    }
+
+    /// Whether the scans tell where the robot was.
+    fn has_poses(&self) -> bool {
+        self.scans.iter().all(|scan| scan.posed)
     }
 
     /// The reading that stands for "nothing seen", m, where the scans themselves do not tell.
@@ -158,9 +177,12 @@ impl CarmenLog {
 fn load(path: &Path) -> Result<String, TextFileError> {
     let error = |source| TextFileError::Read { path: path.into(), source };
     let mut bytes = std::fs::read(path).map_err(error)?;
+    let mut unpacked = Vec::new();
     if bytes.starts_with(b"BZh") {
-        let mut unpacked = Vec::new();
         bzip2::read::MultiBzDecoder::new(bytes.as_slice()).read_to_end(&mut unpacked).map_err(error)?;
+        bytes = unpacked;
+    } else if bytes.starts_with(GZIP) {
+        flate2::read::MultiGzDecoder::new(bytes.as_slice()).read_to_end(&mut unpacked).map_err(error)?;
         bytes = unpacked;
     }
     Ok(String::from_utf8(bytes).unwrap_or_else(|error| String::from_utf8_lossy(error.as_bytes()).into_owned()))

@@ -16,7 +16,7 @@ use crate::time::Stamp;
 const RANGE_MIN: f32 = 0.1;
 
 /// Writes the log. Odometry is what the scan lines carry, at their stamps: the robot's own pairing of the two. Logs whose scan lines
-/// carry none have that of the `ODOM` lines.
+/// carry none have that of the `ODOM` lines, if there are any.
 pub fn record(log: &CarmenLog, mut bag: BagWriter) -> Result<(), BagError> {
     let odometry = of_log(log);
     let (limit, scan_time) = (log.nothing_seen(), median_spacing(log));
@@ -44,7 +44,7 @@ fn of_log(log: &CarmenLog) -> Vec<CarmenOdometry> {
     let of_scans: Vec<CarmenOdometry> = log.scans.iter().map(|scan| scan.odometry).collect();
     let stands_still =
         |odometry: &[CarmenOdometry]| odometry.windows(2).all(|two| two[0].odom_from_base == two[1].odom_from_base);
-    if stands_still(&of_scans) && !stands_still(&log.odometry) { log.odometry.clone() } else { of_scans }
+    if !log.has_poses() || stands_still(&of_scans) && !stands_still(&log.odometry) { log.odometry.clone() } else { of_scans }
 }
 
 fn median_spacing(log: &CarmenLog) -> f64 {
