@@ -13,7 +13,7 @@ use anytime_scan_matcher::messages::ackermann_msgs::AckermannDriveStamped;
 use anytime_scan_matcher::messages::geometry_msgs::{
     PointStamped, PoseStamped, PoseWithCovarianceStamped, TransformStamped, Twist, TwistStamped,
 };
-use anytime_scan_matcher::messages::nav_msgs::{OccupancyGrid, Odometry};
+use anytime_scan_matcher::messages::nav_msgs::{MapMetaData, OccupancyGrid, Odometry};
 use anytime_scan_matcher::messages::own::{self, Contract};
 use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use anytime_scan_matcher::messages::std_msgs::{Empty, Header, Int32};
@@ -79,6 +79,7 @@ fn message_types_are_those_of_the_ros_installed() {
         pair::<TransformStamped, rosrust_msg::geometry_msgs::TransformStamped>(),
         pair::<PointStamped, rosrust_msg::geometry_msgs::PointStamped>(),
         pair::<OccupancyGrid, rosrust_msg::nav_msgs::OccupancyGrid>(),
+        pair::<MapMetaData, rosrust_msg::nav_msgs::MapMetaData>(),
     ];
     pair::<PointCloud2, rosrust_msg::sensor_msgs::PointCloud2>();
     pair::<Imu, rosrust_msg::sensor_msgs::Imu>();
@@ -332,6 +333,8 @@ fn check_installed(graph: &Graph) {
         "launch/laser_scan_matcher_compat.launch",
         "launch/scan_matcher.rviz",
         "launch/plotjuggler.xml",
+        "maps/corridor.yaml",
+        "maps/corridor.png",
     ];
     let share = share.map(|name| format!("share/anytime_scan_matcher/{name}"));
     let header = "include/anytime_scan_matcher/shared_memory.h".to_owned();

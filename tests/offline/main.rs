@@ -25,5 +25,6 @@ mod readme;
 mod replay;
 #[cfg(target_os = "linux")]
 mod shared_memory;
+mod shipped_map;
 mod simulation;
 mod solvers;
