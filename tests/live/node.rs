@@ -308,6 +308,17 @@ fn the_launch_file_starts_the_release_build_with_its_arguments() {
         .expect_log("matches /front/scan with /odom to /scan_match_location (map -> car; map -> odom -> car on /tf), within 5ms");
     launch.signal("INT");
     assert!(launch.exit_code(PATIENCE).is_some());
+    for (arguments, said) in [
+        (&["correspondence:=kd_tree", "solver:=linearized"][..], "by kd_tree + linearized"),
+        (&["solver:=point_to_point"], "point_to_point changes nothing with matching.correspondence projective"),
+        (&["matcher:=plicp"], "by jump_table + point_to_line"),
+        (&["matcher:=plicp", "solver:=point_to_point"], "by jump_table + point_to_point"),
+        (&["matcher:=nonesuch"], "matcher_nonesuch.yaml"),
+    ] {
+        let launch = graph.launch("scan_matcher.launch", arguments);
+        launch.expect_log(said);
+        assert_eq!(launch.log().contains("WARN"), said.contains("changes nothing"), "{}", launch.log());
+    }
     for arguments in [
         &["scan_matcher.launch"][..],
         &["laser_scan_matcher_compat.launch"],
@@ -333,6 +344,7 @@ fn check_installed(graph: &Graph) {
         "launch/laser_scan_matcher_compat.launch",
         "launch/scan_matcher.rviz",
         "launch/plotjuggler.xml",
+        "launch/matcher_plicp.yaml",
         "maps/corridor.yaml",
         "maps/corridor.png",
     ];
