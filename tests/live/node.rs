@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use crate::common::drive::{self, EndlessScan, MOUNT, Recording, TOPICS, Text, at, header, pose_message};
 use crate::common::graph::{Graph, NODE, PACKAGE, PATIENCE, Process, eventually, installed, within};
 use crate::common::skipped::skip;
+use crate::common::wire::Publisher;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::messages::ackermann_msgs::AckermannDriveStamped;
@@ -227,6 +228,35 @@ fn bad_input_is_refused_by_name_and_good_input_goes_on() {
     assert!(recording.timed_reports().any(|(seconds, report)| seconds > 3.5 && report.ok), "the end of the drive is matched");
     // The message that could not be read is neither a scan answered nor one dropped; the empty one was answered.
     assert!((160..=162).contains(&recording.accounted_for()), "{}", recording.accounted_for());
+}
+
+#[test]
+fn a_topic_without_messages_is_told_with_who_publishes_it_and_what_else_there_is() {
+    let Some(graph) = Graph::start() else { return };
+    let elsewhere = Publisher::new::<LaserScan>(&graph, "/front_laser", "/front/scan");
+    let node = graph.node(&[MOUNT]);
+    let nobody = "topic /scan: no message for 5 s: nobody publishes it; other topics of sensor_msgs/LaserScan: /front/scan";
+    node.expect_log(nobody);
+    node.expect_log("scan:=/front/scan");
+    let mute = Publisher::new::<LaserScan>(&graph, "/mute_laser", "/scan");
+    let _link = mute.link();
+    node.expect_log("topic /scan: no message for 5 s: /mute_laser sends nothing");
+    assert_eq!(node.log().matches("no message for").count(), 2, "{}", node.log());
+    mute.unregister(&graph);
+    elsewhere.unregister(&graph);
+}
+
+#[test]
+fn a_normal_start_and_a_peer_that_ends_are_no_silence() {
+    let Some(graph) = Graph::start() else { return };
+    let bag = graph.dir.path().join("drive.bag");
+    drive::write(&bag, 20, |_| ());
+    let node = graph.node(&[MOUNT]);
+    for _ in 0..2 {
+        graph.play(&bag, &[]);
+        std::thread::sleep(6 * SECOND);
+    }
+    assert!(!node.log().contains("no message for"), "{}", node.log());
 }
 
 #[test]

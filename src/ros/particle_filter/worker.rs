@@ -93,7 +93,9 @@ impl Worker {
     pub(super) fn run(mut self, map: Option<OccupancyGrid>) {
         let mut urgency = Urgency::of_this_thread();
         urgency.set(false);
-        map.into_iter().for_each(|map| self.set_map(map));
+        if let Some(map) = map {
+            self.set_map(map);
+        }
         let mut timer = self.config.localization.timer(self.clock.now());
         while let Some(Work { events, scan }) = self.next_work(timer.as_ref()) {
             for event in events {
