@@ -153,6 +153,27 @@ impl Config {
         self.groups().into_iter().flat_map(in_group).collect()
     }
 
+    /// Settings that change nothing beside the others, in words.
+    pub fn warnings(&self) -> Vec<String> {
+        let MatchingKnobs { correspondence, solver, .. } = &self.matching;
+        let (searched, solved) = (correspondence.name(), solver.name());
+        let unserved = (!correspondence.serves(*solver)).then(|| {
+            format!(
+                "matching.solver {solved} changes nothing with matching.correspondence {searched}: its pairs are of points with lines, \
+                 and point_to_line solves for them; for points with points set matching.correspondence to jump_table"
+            )
+        });
+        let is_trimmed = correspondence.search().is_some();
+        let idle = |path: &String| path.starts_with("rejection.") && !is_trimmed;
+        let idle = self.changes().into_iter().map(|(path, _)| path).filter(idle).map(|path| {
+            format!(
+                "{path} changes nothing with matching.correspondence {searched}, which weighs its pairs and leaves none out; for trimming \
+                 set matching.correspondence to jump_table"
+            )
+        });
+        unserved.into_iter().chain(idle).collect()
+    }
+
     /// The knobs that are not at their defaults, with their values.
     pub fn changes(&self) -> Vec<(String, Value)> {
         let changed = |(path, knob): (String, KnobInfo)| {
@@ -262,6 +283,7 @@ fn parse_yaml(text: &str, source_name: &str) -> Result<Value, ConfigError> {
 mod tests {
     use super::*;
     use crate::geometry::Pose2;
+    use crate::matching::correspondence::Correspondence;
     use crate::matching::solver::SolverKind;
 
     #[test]
@@ -291,6 +313,33 @@ mod tests {
         assert!(config.changes().is_empty());
         config.set_yaml("base_frame: car\nmatching: {max_iterations: 8, solver: point_to_line}\n", "x.yaml").unwrap();
         assert_eq!(config.changes(), [("base_frame".into(), "car".into()), ("matching.max_iterations".into(), 8.into())]);
+    }
+
+    #[test]
+    fn settings_that_change_nothing_are_said() {
+        let warnings = |text: &str| {
+            let mut config = Config::default();
+            config.set_yaml(text, "x.yaml").unwrap();
+            config.warnings()
+        };
+        assert!(warnings("{}").is_empty());
+        let points = warnings("matching: {solver: point_to_point}");
+        assert!(points.len() == 1 && points[0].contains("point_to_point changes nothing with"), "{points:?}");
+        assert!(points[0].contains("projective") && points[0].contains("jump_table"), "{points:?}");
+        let trimmed = warnings("rejection: {trim_percentile: 0.9}");
+        assert!(trimmed.len() == 1 && trimmed[0].starts_with("rejection.trim_percentile changes nothing"), "{trimmed:?}");
+        assert!(
+            warnings("matching: {solver: point_to_point, correspondence: kd_tree}\nrejection: {trim_percentile: 0.9}").is_empty()
+        );
+    }
+
+    #[test]
+    fn the_file_of_classic_pl_icp_says_what_it_is() {
+        let mut config = Config::default();
+        config.set_file(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/launch/matcher_plicp.yaml"))).unwrap();
+        let MatchingKnobs { correspondence, solver, .. } = config.matching;
+        assert_eq!((correspondence, solver), (Correspondence::JumpTable, SolverKind::PointToLine));
+        assert!(config.rejection.trim_percentile < 1.0 && config.warnings().is_empty());
     }
 
     #[test]

@@ -1,10 +1,12 @@
-//! A map as `/map` brings it.
+//! A map as `/map` brings it, and as it leaves.
 
 use thiserror::Error;
 
 use super::{InputError, planar_pose};
+use crate::geometry::Pose2;
 use crate::map::grid::{Cell, GridError, OccupancyGrid};
 use crate::messages::nav_msgs;
+use crate::messages::std_msgs::Header;
 
 /// From this on a cell is taken for a wall: `map_server`'s default threshold, %.
 const OCCUPIED: i8 = 65;
@@ -50,12 +52,31 @@ pub fn grid(message: &nav_msgs::OccupancyGrid) -> Result<OccupancyGrid, MapMessa
     Ok(OccupancyGrid::new(width as usize, resolution, planar_pose(origin)?, cells)?)
 }
 
+/// The message of a map, in the frame of this name. A map has no time.
+#[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
+pub fn message(grid: &OccupancyGrid, frame: &str) -> nav_msgs::OccupancyGrid {
+    let occupancy = |cell: &Cell| match cell {
+        Cell::Free => 0,
+        Cell::Occupied => 100,
+        Cell::Unknown => -1,
+    };
+    let info = nav_msgs::MapMetaData {
+        resolution: grid.resolution() as f32,
+        width: grid.width() as u32,
+        height: grid.height() as u32,
+        origin: grid.pose_in_map(&Pose2::IDENTITY).into(),
+        ..nav_msgs::MapMetaData::default()
+    };
+    let header = Header { frame_id: frame.into(), ..Header::default() };
+    nav_msgs::OccupancyGrid { header, info, data: grid.cells().iter().map(occupancy).collect() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Point, Pose2};
+    use crate::geometry::Point;
 
-    fn message(resolution: f32, height: u32) -> nav_msgs::OccupancyGrid {
+    fn sample(resolution: f32, height: u32) -> nav_msgs::OccupancyGrid {
         let mut message = nav_msgs::OccupancyGrid { data: vec![0, 100, -1, 10, 50, 65], ..Default::default() };
         message.info = nav_msgs::MapMetaData { resolution, width: 3, height, ..Default::default() };
         message.info.origin = Pose2::new(1.0, 2.0, std::f64::consts::FRAC_PI_2).into();
@@ -64,7 +85,7 @@ mod tests {
 
     #[test]
     fn cells_and_a_turned_origin_are_where_they_belong() {
-        let grid = grid(&message(0.05, 2)).unwrap();
+        let grid = grid(&sample(0.05, 2)).unwrap();
         let [free, occupied, unknown] = [Cell::Free, Cell::Occupied, Cell::Unknown];
         assert_eq!(grid.cells(), [free, occupied, unknown, free, unknown, occupied]);
         assert!((grid.centre(1, 0) - Point::new(1.0 - 0.025, 2.0 + 0.075)).norm() < 1e-9);
@@ -72,13 +93,21 @@ mod tests {
     }
 
     #[test]
+    fn a_map_becomes_the_message_that_it_came_from() {
+        let map = grid(&sample(0.05, 2)).unwrap();
+        let message = super::message(&map, "map");
+        assert_eq!((message.header.frame_id.as_str(), &message.data[..]), ("map", &[0, 100, -1, 0, -1, 100][..]));
+        assert_eq!(grid(&message).unwrap(), map);
+    }
+
+    #[test]
     fn mistakes_are_named() {
         let problem = |message: &nav_msgs::OccupancyGrid| grid(message).unwrap_err().to_string();
-        assert!(problem(&message(0.0, 2)).contains("resolution is 0"));
-        assert!(problem(&message(f32::NAN, 2)).contains("resolution is NaN"));
-        assert!(problem(&message(0.05, 7)).contains("6 cells do not make 3 x 7"));
+        assert!(problem(&sample(0.0, 2)).contains("resolution is 0"));
+        assert!(problem(&sample(f32::NAN, 2)).contains("resolution is NaN"));
+        assert!(problem(&sample(0.05, 7)).contains("6 cells do not make 3 x 7"));
         assert!(problem(&nav_msgs::OccupancyGrid::default()).contains("of no use"));
-        let mut turned = message(0.05, 2);
+        let mut turned = sample(0.05, 2);
         turned.info.origin.orientation.w = 9.0;
         assert!(problem(&turned).contains("normalised"));
     }

@@ -5,6 +5,9 @@ use std::io::Write;
 use thiserror::Error;
 
 use crate::evaluation::trajectory::StampedPose;
+use crate::messages::geometry_msgs::{Point, Transform, TransformStamped, Vector3};
+use crate::messages::nav_msgs::Odometry;
+use crate::messages::tf2_msgs::TFMessage;
 use crate::simulation::drive::{Settings, SimulatedMessage, simulate, truth_message};
 use crate::simulation::scene::Scene;
 
@@ -22,6 +25,14 @@ pub enum RecordError {
     Truth(std::io::Error),
 }
 
+/// What odometry says, as drivers say it to tf: where the base is in the frame of the odometry.
+fn transform(odometry: &Odometry) -> TFMessage {
+    let Point { x, y, z } = odometry.pose.pose.position;
+    let transform = Transform { translation: Vector3 { x, y, z }, rotation: odometry.pose.pose.orientation.clone() };
+    let (header, child_frame_id) = (odometry.header.clone(), odometry.child_frame_id.clone());
+    TFMessage { transforms: vec![TransformStamped { header, child_frame_id, transform }] }
+}
+
 /// Simulates a drive and writes it to `bag`, and the true pose of every scan to `truth`. Returns the number of scans.
 pub fn record<W: Write>(
     settings: &Settings,
@@ -33,7 +44,10 @@ pub fn record<W: Write>(
     simulate(settings, scene, |time, message| -> Result<(), RecordError> {
         match message {
             SimulatedMessage::Mount(message) => bag.write_latched("/tf_static", time, &message)?,
-            SimulatedMessage::Odometry(message) => bag.write("/odom", time, &message)?,
+            SimulatedMessage::Odometry(message) => {
+                bag.write("/tf", time, &transform(&message))?;
+                bag.write("/odom", time, &message)?;
+            }
             SimulatedMessage::Truth { stamp, map_from_base } => {
                 truth.write(&StampedPose { stamp, pose: map_from_base }).map_err(RecordError::Truth)?;
                 bag.write("/gt_pose", time, &truth_message(stamp, map_from_base))?;

@@ -41,6 +41,17 @@ pub struct MapMetaData {
     pub origin: super::geometry_msgs::Pose,
 }
 
+impl Message for MapMetaData {
+    const TYPE: &'static str = "nav_msgs/MapMetaData";
+    const MD5: &'static str = "10cfc8a2818024d3248802c00c95f11b";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("nav_msgs/MapMetaData", include_str!("../../msg/nav_msgs/msg/MapMetaData.msg")),
+        ("geometry_msgs/Pose", include_str!("../../msg/geometry_msgs/msg/Pose.msg")),
+        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+    ];
+}
+
 /// `nav_msgs/OccupancyGrid`.
 #[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct OccupancyGrid {

@@ -9,13 +9,15 @@ use std::time::Duration;
 
 use rosrust::api::Master;
 
-use super::inlet::Inlet;
+use super::inlet::{Inlet, Topic};
 use super::log::{Log, Throttle};
 use super::tcpros::{LinkError, connect, read_message, request_topic};
 use crate::anytime::clock::Clock;
 
 /// Time between the end of a connection and the next attempt.
 const RETRY_PERIOD: Duration = Duration::from_millis(500);
+/// Who waits longer than this for a message of what the node lives on wants to know why.
+const SILENCE: Duration = Duration::from_secs(5);
 
 /// A topic, and a thread for each of its publishers. A link lives as long as its connection does: a master that has forgotten the
 /// publisher does not end it.
@@ -32,6 +34,30 @@ pub(super) struct Feed {
     refused: AtomicU64,
     /// Connections that there are.
     open: AtomicU64,
+    silence: Mutex<Silence>,
+}
+
+/// How long nothing has been heard.
+#[derive(Default)]
+struct Silence {
+    /// Reading of the clock when the last message came, or other publishers.
+    since: Duration,
+    /// There have been messages.
+    has_heard: bool,
+    is_told: bool,
+}
+
+impl Silence {
+    /// Somebody has spoken, or may be about to.
+    fn end(&mut self, now: Duration, has_heard: bool) {
+        *self = Self { since: now, has_heard: self.has_heard || has_heard, is_told: false };
+    }
+
+    /// Whether it has become too long; answered once. A publisher that was heard and has gone has ended: there is nothing to be told.
+    fn becomes_too_long(&mut self, now: Duration, is_published: bool) -> bool {
+        let too_long = now.saturating_sub(self.since) >= SILENCE && (is_published || !self.has_heard);
+        too_long && !std::mem::replace(&mut self.is_told, true)
+    }
 }
 
 /// Nodes, by name.
@@ -48,7 +74,8 @@ impl Feed {
     pub(super) fn new(topic: String, node: &str, master: Arc<Master>, clock: Arc<dyn Clock>, log: Log, inlet: Inlet) -> Self {
         let (is_vital, inlet) = (inlet.topic.is_vital, Mutex::new(inlet));
         let (publishers, refused, open) = (Mutex::default(), AtomicU64::new(0), AtomicU64::new(0));
-        Self { topic, node: node.into(), master, clock, log, inlet, is_vital, publishers, refused, open }
+        let silence = Mutex::new(Silence { since: clock.now(), ..Silence::default() });
+        Self { topic, node: node.into(), master, clock, log, inlet, is_vital, publishers, refused, open, silence }
     }
 
     /// Messages that were too long to be read.
@@ -56,9 +83,22 @@ impl Feed {
         self.refused.load(Ordering::Relaxed)
     }
 
+    /// What is listened for.
+    pub(super) fn wanted(&self) -> Topic {
+        lock(&self.inlet).topic
+    }
+
     /// Whether there is nobody to hear from of what the node lives on.
     pub(super) fn is_missed(&self) -> bool {
         self.is_vital && self.open.load(Ordering::Relaxed) == 0
+    }
+
+    /// Of a topic that the node lives on: its publishers, when it has just become clear that they send nothing.
+    pub(super) fn falls_silent(&self) -> Option<Vec<String>> {
+        let mut publishers: Vec<String> = lock(&self.publishers).wanted.iter().cloned().collect();
+        publishers.sort_unstable();
+        let is_silent = self.is_vital && lock(&self.silence).becomes_too_long(self.clock.now(), !publishers.is_empty());
+        is_silent.then_some(publishers)
     }
 
     /// Takes the master's word for who publishes: links to those that are new. Answers whether these are others than before.
@@ -68,6 +108,9 @@ impl Feed {
         let has_changed = publishers.wanted != names;
         let new: Vec<String> = names.difference(&publishers.linked).cloned().collect();
         publishers.wanted = names;
+        if has_changed {
+            lock(&self.silence).end(self.clock.now(), false);
+        }
         for publisher in new {
             let (feed, name) = (Arc::clone(self), publisher.clone());
             match thread::Builder::new().name("link".into()).spawn(move || feed.follow(&name)) {
@@ -134,6 +177,7 @@ impl Feed {
             let arrival = self.clock.now();
             *messages += 1;
             if fits {
+                lock(&self.silence).end(arrival, true);
                 lock(&self.inlet).message(bytes, publisher, arrival);
             }
         }
@@ -153,4 +197,22 @@ impl Feed {
 /// What is locked here is whole at every moment, even if a thread should have died with the lock in its hand.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn silence_is_told_once_and_not_of_who_has_ended() {
+        let at = Duration::from_secs;
+        let mut silence = Silence::default();
+        assert!(!silence.becomes_too_long(at(4), false), "a normal start");
+        assert!(silence.becomes_too_long(at(5), false) && !silence.becomes_too_long(at(6), false), "nobody has come");
+        silence.end(at(7), false); // a publisher has come
+        assert!(!silence.becomes_too_long(at(11), true) && silence.becomes_too_long(at(12), true), "it sends nothing");
+        silence.end(at(13), true); // a message
+        assert!(!silence.becomes_too_long(at(60), false), "it has ended");
+        assert!(silence.becomes_too_long(at(60), true), "it goes on without a word");
+    }
 }

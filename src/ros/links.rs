@@ -15,7 +15,7 @@ use rosrust::api::{Master, Ros, SystemState};
 
 use super::NodeError;
 use super::feed::Feed;
-use super::inlet::Inlet;
+use super::inlet::{Inlet, Topic};
 use super::log::Log;
 use super::master::{connect, resolved};
 use crate::anytime::clock::Clock;
@@ -94,6 +94,7 @@ impl Shared {
             if state.is_ok_and(|state| self.update(&state.into())) {
                 changed = asked;
             }
+            self.tell_silence();
             let is_calm = changed.elapsed() > SETTLING && !self.feeds().iter().any(|feed| feed.is_missed());
             let period = if is_calm { CALM_PERIOD } else { PERIOD };
             thread::park_timeout(period.max(REST * took));
@@ -110,7 +111,52 @@ impl Shared {
         has_changed
     }
 
+    /// Warns of topics on which nothing comes, and says where it may come instead.
+    fn tell_silence(&self) {
+        let feeds: Vec<Arc<Feed>> = self.feeds().iter().cloned().collect();
+        for feed in feeds {
+            let Some(publishers) = feed.falls_silent() else { continue };
+            let Topic { name, message_type, .. } = feed.wanted();
+            let published = self.master.get_published_topics("").unwrap_or_default();
+            let others: Vec<String> = published
+                .into_iter()
+                .filter(|(topic, published)| published == message_type && *topic != feed.topic)
+                .map(|(topic, _)| topic)
+                .collect();
+            let text = silence(name, message_type, &publishers, &others);
+            feed.log.warn(&format!("topic {}: no message for 5 s: {text}", feed.topic));
+        }
+    }
+
     fn feeds(&self) -> MutexGuard<'_, Vec<Arc<Feed>>> {
         self.feeds.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Why nothing may come, and what could help. `name`: the topic before remapping; `others`: topics of its type.
+fn silence(name: &str, message_type: &str, publishers: &[String], others: &[String]) -> String {
+    let who =
+        if publishers.is_empty() { "nobody publishes it".into() } else { format!("{} sends nothing", publishers.join(", ")) };
+    let remedy = match others {
+        [] => format!("there is no other topic of {message_type}"),
+        [first, ..] => format!("other topics of {message_type}: {}; to take one: {name}:={first}", others.join(", ")),
+    };
+    format!("{who}; {remedy}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn silence_names_publishers_and_other_topics() {
+        let names = |names: &[&str]| names.iter().map(ToString::to_string).collect::<Vec<_>>();
+        let lonely = silence("scan", "sensor_msgs/LaserScan", &[], &[]);
+        assert_eq!(lonely, "nobody publishes it; there is no other topic of sensor_msgs/LaserScan");
+        let elsewhere = silence("scan", "sensor_msgs/LaserScan", &names(&["/laser"]), &names(&["/front", "/rear"]));
+        assert_eq!(
+            elsewhere,
+            "/laser sends nothing; other topics of sensor_msgs/LaserScan: /front, /rear; to take one: scan:=/front"
+        );
     }
 }

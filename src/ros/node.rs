@@ -51,6 +51,7 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal, config: &Config, face: &
     if !face.ignored.is_empty() {
         log.warn(&format!("these parameters mean nothing here and are ignored: {}", face.ignored.join(", ")));
     }
+    config.warnings().iter().for_each(|warning| log.warn(warning));
     let transform = Arc::new(TransformOutput::default());
     transform.switch(ros, &config.frames.base_frame, config.frames.publish_tf)?;
     transform.switch(ros, &config.frames.odom_frame, config.frames.publish_map_tf)?;
@@ -141,7 +142,7 @@ fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
         [if config.cloud.input { "cloud" } else { "scan" }, "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
     let frames = &config.frames;
     log.info(&format!(
-        "matches {} with {} to {} ({} -> {}; {}), {}",
+        "matches {} with {} to {} ({} -> {}; {}), {}, by {} + {}",
         scan?,
         odometry?,
         pose?,
@@ -149,6 +150,8 @@ fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
         frames.base_frame,
         transforms(frames),
         describe(&contract),
+        config.matching.correspondence.name(),
+        config.matching.solver.name(),
     ));
     Ok(())
 }

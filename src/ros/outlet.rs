@@ -18,6 +18,16 @@ impl<T: Message> Outlet<T> {
         Ok(Self(Output::described(ros, topic, description)?))
     }
 
+    /// A topic whose new listeners are given the last message at once.
+    pub(super) fn latched(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
+        Self::new(ros, topic).map(|outlet| Self(outlet.0.latched()))
+    }
+
+    /// Hands a message over to whoever listens, now or, on a latched topic, later.
+    pub(super) fn keep(&self, message: &T) {
+        self.0.keep_bytes(encode(message).unwrap_or_default()); // cannot fail, either
+    }
+
     /// Hands a message over, if anybody listens; what it takes to make it is spent only then.
     pub(super) fn send(&self, message: impl FnOnce() -> T) {
         // Cannot fail: it writes to memory.

@@ -46,7 +46,7 @@ impl<T> Output<T> {
     }
 
     /// New listeners are given the last message at once.
-    fn latched(mut self) -> Self {
+    pub(super) fn latched(mut self) -> Self {
         self.publisher.set_latching(true);
         self
     }
@@ -58,8 +58,13 @@ impl<T> Output<T> {
     /// Hands the wire form of a message over, if anybody listens; what it takes to make it is spent only then.
     pub(super) fn send_bytes(&self, bytes: impl FnOnce() -> Vec<u8>) {
         if self.has_listeners() {
-            let _ = self.publisher.send(RawMessage(bytes())); // only queues
+            self.keep_bytes(bytes());
         }
+    }
+
+    /// Hands the wire form of a message over, even if nobody listens yet.
+    pub(super) fn keep_bytes(&self, bytes: Vec<u8>) {
+        let _ = self.publisher.send(RawMessage(bytes)); // only queues
     }
 
     pub(super) fn role(&self) -> Role {

@@ -1,11 +1,12 @@
-//! The services of the nodes, all of them `std_srvs/Trigger`: nothing that comes from the network says what to do in detail, nor names
-//! a file.
+//! The services of the nodes, all but one of them `std_srvs/Trigger`: nothing that comes from the network says what to do in detail,
+//! nor names a file. The other one hands the map out.
 
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use rosrust::api::Ros;
+use rosrust_msg::nav_msgs::{GetMap, GetMapRes};
 use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
@@ -30,7 +31,10 @@ impl Service {
             let reply = act();
             Ok(TriggerRes { success: reply.is_ok(), message: reply.unwrap_or_else(|problem| problem) })
         };
-        let offered = ros.service::<Trigger, _>(name, handle);
+        Self::of(name, ros.service::<Trigger, _>(name, handle))
+    }
+
+    fn of<E: std::fmt::Display>(name: &'static str, offered: Result<rosrust::Service, E>) -> Result<Self, NodeError> {
         let failed = |error| NodeError::ros(format!("offer the service '{name}'"), &error);
         Ok(Self { name, _offered: offered.map_err(failed)? })
     }
@@ -52,6 +56,11 @@ pub(super) fn reset<I: Send + 'static>(
         mailbox.put_event(Event::Reset);
         Ok(answer.into())
     })
+}
+
+/// A service that answers with this map.
+pub(super) fn static_map(ros: &Ros, name: &'static str, answer: GetMapRes) -> Result<Service, NodeError> {
+    Service::of(name, ros.service::<GetMap, _>(name, move |_| Ok(answer.clone())))
 }
 
 /// The service that puts [`Event::SaveProfile`] into the mailbox, and by what it is to be answered.

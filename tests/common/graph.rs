@@ -206,6 +206,12 @@ impl Graph {
 
     /// Calls a `std_srvs/Trigger`: its Python types need not be installed, so this speaks TCPROS by itself.
     pub fn call(&self, service: &str) -> (bool, String) {
+        let answer = self.request(service, "std_srvs/Trigger", "937c9679a518e3a18d831e57125ea522");
+        (answer[0] == 1, String::from_utf8(answer[5..].to_vec()).unwrap())
+    }
+
+    /// The wire form of what a service answers to an empty request.
+    pub fn request(&self, service: &str, service_type: &str, md5: &str) -> Vec<u8> {
         let uri = self.output("rosservice", &["uri", service]);
         let mut stream = TcpStream::connect(uri.trim().strip_prefix("rosrpc://").unwrap()).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -213,8 +219,8 @@ impl Graph {
         let header = [
             field(format!("service={service}")),
             field("callerid=/test".into()),
-            field("md5sum=937c9679a518e3a18d831e57125ea522".into()),
-            field("type=std_srvs/Trigger".into()),
+            field(format!("md5sum={md5}")),
+            field(format!("type={service_type}")),
         ]
         .concat();
         stream.write_all(&u32::try_from(header.len()).unwrap().to_le_bytes()).unwrap();
@@ -232,7 +238,7 @@ impl Graph {
         stream.read_exact(&mut ok).unwrap();
         let answer = block(&mut stream);
         assert_eq!(ok[0], 1, "the service failed");
-        (answer[0] == 1, String::from_utf8(answer[5..].to_vec()).unwrap())
+        answer
     }
 }
 

@@ -5,13 +5,15 @@ use std::convert::Infallible;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use anytime_scan_matcher::app::map_message::message;
 use anytime_scan_matcher::app::planar_pose;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::knobs::Seconds;
-use anytime_scan_matcher::map::grid::{Cell, OccupancyGrid};
+use anytime_scan_matcher::map::grid::Cell;
+use anytime_scan_matcher::messages::decode;
 use anytime_scan_matcher::messages::geometry_msgs::{Point, PointStamped, PoseWithCovarianceStamped, TransformStamped};
-use anytime_scan_matcher::messages::nav_msgs::{self, MapMetaData, Odometry};
+use anytime_scan_matcher::messages::nav_msgs::{MapMetaData, OccupancyGrid as MapMessage, Odometry};
 use anytime_scan_matcher::messages::own::FilterReport;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::messages::std_msgs::Header;
@@ -19,8 +21,9 @@ use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
-use rosrust::RosMsg as _;
+use rosrust::{Message as _, RosMsg as _};
 use rosrust_msg::geometry_msgs::PoseArray;
+use rosrust_msg::nav_msgs::GetMap;
 
 use crate::common::corridor;
 use crate::common::graph::{Graph, PATIENCE, Process, eventually};
@@ -79,24 +82,6 @@ impl Drive {
         };
         truth.between(pose)
     }
-}
-
-fn map_message(grid: &OccupancyGrid) -> nav_msgs::OccupancyGrid {
-    let occupancy = |cell: &Cell| match cell {
-        Cell::Free => 0,
-        Cell::Occupied => 100,
-        Cell::Unknown => -1,
-    };
-    #[allow(clippy::cast_possible_truncation)] // as the message has it
-    let info = MapMetaData {
-        resolution: grid.resolution() as f32,
-        width: grid.width() as u32,
-        height: grid.height() as u32,
-        origin: grid.pose_in_map(&Pose2::IDENTITY).into(),
-        ..MapMetaData::default()
-    };
-    let header = Header { frame_id: "map".into(), ..Header::default() };
-    nav_msgs::OccupancyGrid { header, info, data: grid.cells().iter().map(occupancy).collect() }
 }
 
 /// The corridor as a file of `map_server`.
@@ -182,14 +167,14 @@ fn start(graph: &Graph, arguments: &[&str]) -> Process {
 fn the_robot_is_placed_on_a_map_that_comes_late() {
     let Some(graph) = Graph::start() else { return };
     let drive = Drive::write(graph.dir.path(), 12.0, |writer, start| {
-        let mut bad = map_message(&corridor());
+        let mut bad = message(&corridor(), "map");
         bad.info.resolution = -1.0;
         writer.write("/map", start.offset_by(0.4), &bad).unwrap();
         bad.info.height = 5;
         writer.write("/map", start.offset_by(1.6), &bad).unwrap();
         // The second time it is nothing new.
         for seconds in [2.0, 6.0] {
-            writer.write("/map", start.offset_by(seconds), &map_message(&corridor())).unwrap();
+            writer.write("/map", start.offset_by(seconds), &message(&corridor(), "map")).unwrap();
         }
     });
     let node = start(&graph, &["__name:=pf"]);
@@ -207,6 +192,34 @@ fn the_robot_is_placed_on_a_map_that_comes_late() {
     // From anywhere in the corridor it takes longer than this to find it.
     assert!(heard.reports.len() > 50 && heard.reports.iter().all(|report| report.particles >= 4000 && report.beams > 0));
     assert!(heard.poses.iter().all(|(stamp, pose)| drive.error(*stamp, pose).distance() < 40.0));
+}
+
+#[test]
+fn the_map_of_a_file_is_published_latched_and_served() {
+    let Some(graph) = Graph::start() else { return };
+    let map = map_file(graph.dir.path());
+    let node = start(&graph, &[&map]);
+    node.expect_log("publishes it as /map and serves it as /static_map");
+    let recorder = graph.record(&["/map", "/map_metadata"]); // which comes after it was published
+    let expected = message(&corridor(), "map");
+    let served = graph.request("/static_map", "nav_msgs/GetMap", &GetMap::md5sum());
+    assert!(decode::<MapMessage>(&served).unwrap() == expected);
+    let recorded = Bag::open(graph.finish_recording(recorder)).unwrap();
+    let [mut maps, mut metadata] = [0, 0];
+    for message in recorded.messages(None) {
+        let message = message.unwrap();
+        if message.connection.topic == "/map" {
+            assert!(message.decode::<MapMessage>().unwrap() == expected);
+            maps += 1;
+        } else {
+            assert_eq!(message.decode::<MapMetaData>().unwrap(), expected.info);
+            metadata += 1;
+        }
+    }
+    assert_eq!((maps, metadata), (1, 1));
+    let second = start(&graph, &[&map, "__name:=second", "_publish_tf:=false"]);
+    second.expect_log("the map is not published: /particle_filter publishes /map");
+    second.expect_log("has a map of 400 x 300");
 }
 
 #[test]

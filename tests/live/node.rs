@@ -7,13 +7,14 @@ use std::time::{Duration, Instant};
 use crate::common::drive::{self, EndlessScan, MOUNT, Recording, TOPICS, Text, at, header, pose_message};
 use crate::common::graph::{Graph, NODE, PACKAGE, PATIENCE, Process, eventually, installed, within};
 use crate::common::skipped::skip;
+use crate::common::wire::Publisher;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::messages::ackermann_msgs::AckermannDriveStamped;
 use anytime_scan_matcher::messages::geometry_msgs::{
     PointStamped, PoseStamped, PoseWithCovarianceStamped, TransformStamped, Twist, TwistStamped,
 };
-use anytime_scan_matcher::messages::nav_msgs::{OccupancyGrid, Odometry};
+use anytime_scan_matcher::messages::nav_msgs::{MapMetaData, OccupancyGrid, Odometry};
 use anytime_scan_matcher::messages::own::{self, Contract};
 use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use anytime_scan_matcher::messages::std_msgs::{Empty, Header, Int32};
@@ -79,6 +80,7 @@ fn message_types_are_those_of_the_ros_installed() {
         pair::<TransformStamped, rosrust_msg::geometry_msgs::TransformStamped>(),
         pair::<PointStamped, rosrust_msg::geometry_msgs::PointStamped>(),
         pair::<OccupancyGrid, rosrust_msg::nav_msgs::OccupancyGrid>(),
+        pair::<MapMetaData, rosrust_msg::nav_msgs::MapMetaData>(),
     ];
     pair::<PointCloud2, rosrust_msg::sensor_msgs::PointCloud2>();
     pair::<Imu, rosrust_msg::sensor_msgs::Imu>();
@@ -229,6 +231,35 @@ fn bad_input_is_refused_by_name_and_good_input_goes_on() {
 }
 
 #[test]
+fn a_topic_without_messages_is_told_with_who_publishes_it_and_what_else_there_is() {
+    let Some(graph) = Graph::start() else { return };
+    let elsewhere = Publisher::new::<LaserScan>(&graph, "/front_laser", "/front/scan");
+    let node = graph.node(&[MOUNT]);
+    let nobody = "topic /scan: no message for 5 s: nobody publishes it; other topics of sensor_msgs/LaserScan: /front/scan";
+    node.expect_log(nobody);
+    node.expect_log("scan:=/front/scan");
+    let mute = Publisher::new::<LaserScan>(&graph, "/mute_laser", "/scan");
+    let _link = mute.link();
+    node.expect_log("topic /scan: no message for 5 s: /mute_laser sends nothing");
+    assert_eq!(node.log().matches("no message for").count(), 2, "{}", node.log());
+    mute.unregister(&graph);
+    elsewhere.unregister(&graph);
+}
+
+#[test]
+fn a_normal_start_and_a_peer_that_ends_are_no_silence() {
+    let Some(graph) = Graph::start() else { return };
+    let bag = graph.dir.path().join("drive.bag");
+    drive::write(&bag, 20, |_| ());
+    let node = graph.node(&[MOUNT]);
+    for _ in 0..2 {
+        graph.play(&bag, &[]);
+        std::thread::sleep(6 * SECOND);
+    }
+    assert!(!node.log().contains("no message for"), "{}", node.log());
+}
+
+#[test]
 fn initial_pose_reset_and_a_second_parent_of_the_base() {
     let Some(graph) = Graph::start() else { return };
     let bag = graph.dir.path().join("drive.bag");
@@ -307,6 +338,17 @@ fn the_launch_file_starts_the_release_build_with_its_arguments() {
         .expect_log("matches /front/scan with /odom to /scan_match_location (map -> car; map -> odom -> car on /tf), within 5ms");
     launch.signal("INT");
     assert!(launch.exit_code(PATIENCE).is_some());
+    for (arguments, said) in [
+        (&["correspondence:=kd_tree", "solver:=linearized"][..], "by kd_tree + linearized"),
+        (&["solver:=point_to_point"], "point_to_point changes nothing with matching.correspondence projective"),
+        (&["matcher:=plicp"], "by jump_table + point_to_line"),
+        (&["matcher:=plicp", "solver:=point_to_point"], "by jump_table + point_to_point"),
+        (&["matcher:=nonesuch"], "matcher_nonesuch.yaml"),
+    ] {
+        let launch = graph.launch("scan_matcher.launch", arguments);
+        launch.expect_log(said);
+        assert_eq!(launch.log().contains("WARN"), said.contains("changes nothing"), "{}", launch.log());
+    }
     for arguments in [
         &["scan_matcher.launch"][..],
         &["laser_scan_matcher_compat.launch"],
@@ -332,6 +374,9 @@ fn check_installed(graph: &Graph) {
         "launch/laser_scan_matcher_compat.launch",
         "launch/scan_matcher.rviz",
         "launch/plotjuggler.xml",
+        "launch/matcher_plicp.yaml",
+        "maps/corridor.yaml",
+        "maps/corridor.png",
     ];
     let share = share.map(|name| format!("share/anytime_scan_matcher/{name}"));
     let header = "include/anytime_scan_matcher/shared_memory.h".to_owned();

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::thread;
 use std::time::Duration;
@@ -215,23 +216,76 @@ fn the_simulator_obeys_drive_and_cmd_vel() {
     }
 }
 
-/// F1TENTH's simulator is not packaged: a package of its name shows that the launch file starts what it finds there.
+/// F1TENTH's simulator is not packaged: packages of its names, with launch files of its own names and nodes, stand in for it. What
+/// their nodes do does not matter here.
+fn write_simulator(graph: &Graph, package: &str) {
+    let folder = graph.dir.path().join(package);
+    fs::create_dir_all(folder.join("launch")).unwrap();
+    fs::write(folder.join("package.xml"), format!("<package><name>{package}</name></package>")).unwrap();
+    let node = |name: &str, kind: &str| format!("<node pkg=\"{package}\" name=\"{name}\" type=\"{kind}\"/>");
+    let nodes = [(package, "simulator"), ("mux_controller", "mux"), ("rviz", "simulator")].map(|(name, kind)| node(name, kind));
+    fs::write(folder.join("launch/simulator.launch"), format!("<launch>{}</launch>", nodes.concat())).unwrap();
+    for program in ["simulator", "mux"].map(|name| folder.join(name)) {
+        fs::write(&program, "#!/bin/sh\nexec sleep 100\n").unwrap();
+        fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).unwrap();
+    }
+}
+
+fn packages(graph: &Graph) -> String {
+    format!("{}:{PACKAGE}:/usr/share", graph.dir.path().display())
+}
+
 #[test]
 fn the_launch_file_starts_f1tenths_simulator_where_there_is_one() {
     let Some(graph) = Graph::without_master() else { return };
-    let package = graph.dir.path().join("racecar_simulator");
-    fs::create_dir_all(package.join("launch")).unwrap();
-    fs::write(package.join("package.xml"), "<package><name>racecar_simulator</name></package>").unwrap();
-    let launch = r#"<launch><node pkg="racecar_simulator" type="simulator" name="racecar_simulator"/></launch>"#;
-    fs::write(package.join("launch/simulator.launch"), launch).unwrap();
-    let packages = format!("{}:{PACKAGE}:/usr/share", graph.dir.path().display());
-    let mut roslaunch = graph.command("roslaunch");
-    roslaunch.env("ROS_PACKAGE_PATH", packages).args(["--nodes", "anytime_scan_matcher", "racecar_simulator.launch"]);
-    let output = roslaunch.output().unwrap();
-    let nodes = String::from_utf8(output.stdout).unwrap();
-    let mut nodes: Vec<&str> = nodes.split_whitespace().collect();
-    nodes.sort_unstable();
-    assert_eq!(nodes, ["/racecar_simulator", "/scan_matcher"], "{}", String::from_utf8_lossy(&output.stderr));
+    for package in ["racecar_simulator", "f1tenth_simulator"] {
+        write_simulator(&graph, package);
+    }
+    let launch = |simulator: &str, rviz: &str| {
+        let mut roslaunch = graph.command("roslaunch");
+        roslaunch.env("ROS_PACKAGE_PATH", packages(&graph)).args(["--nodes", "anytime_scan_matcher", "racecar_simulator.launch"]);
+        roslaunch.args([format!("simulator:={simulator}"), format!("rviz:={rviz}")]).output().unwrap()
+    };
+    for (simulator, expected) in [
+        ("racecar_simulator", vec!["/mux_controller", "/racecar_simulator", "/rviz", "/scan_matcher"]),
+        ("f1tenth_simulator", vec!["/f1tenth_simulator", "/mux_controller", "/rviz", "/scan_matcher"]),
+        ("built_in", vec!["/racecar_sim", "/scan_matcher"]),
+    ] {
+        for (rviz, more) in [("false", None), ("true", Some("/scan_matcher_rviz"))] {
+            let output = launch(simulator, rviz);
+            let nodes = String::from_utf8(output.stdout).unwrap();
+            let mut nodes: Vec<&str> = nodes.split_whitespace().collect();
+            nodes.sort_unstable();
+            let expected: Vec<&str> = expected.iter().copied().chain(more).collect();
+            assert_eq!(nodes, expected, "{}", String::from_utf8_lossy(&output.stderr));
+        }
+    }
+    let unknown = launch("gazebo", "false");
+    let said = String::from_utf8_lossy(&unknown.stderr);
+    assert!(!unknown.status.success() && said.contains("simulator:=gazebo is none of auto, f1tenth_simulator"), "{said}");
+}
+
+#[test]
+fn the_launch_file_finds_the_simulator_that_is_there_and_does_not_predict_from_the_truth() {
+    let Some(graph) = Graph::start() else { return };
+    let nodes = |running: &[&str]| {
+        let state = || graph.output("rosnode", &["list"]);
+        assert!(eventually(|| running.iter().all(|node| state().lines().any(|line| line == *node))), "{running:?}: {}", state());
+    };
+    let own = graph.launch("racecar_simulator.launch", &["autopilot:=true", "rate:=100", "scan_rate:=20", "world:=room"]);
+    own.expect_log("simulator:=built_in");
+    own.expect_log("simulates a racecar in room");
+    nodes(&["/racecar_sim", "/scan_matcher"]);
+    own.expect_log("matches /scan with /no_odom");
+    drop(own);
+
+    for package in ["racecar_simulator", "f1tenth_simulator"] {
+        write_simulator(&graph, package); // the second is preferred
+        let path = packages(&graph);
+        let theirs = graph.launch_with("racecar_simulator.launch", &["use_odom:=true"], &[("ROS_PACKAGE_PATH", &path)]);
+        theirs.expect_log(&format!("simulator:={package}"));
+        theirs.expect_log("matches /scan with /odom");
+    }
 }
 
 /// As fast as `racecar_simulator`: 1000 Hz on a quiet machine. A quarter is asked of a busy one.

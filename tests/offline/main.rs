@@ -27,5 +27,6 @@ mod replay;
 #[cfg(target_os = "linux")]
 mod shared_memory;
 mod shell;
+mod shipped_map;
 mod simulation;
 mod solvers;

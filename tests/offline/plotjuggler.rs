@@ -1,4 +1,5 @@
-//! The layout for `PlotJuggler` draws what messages have: every curve is a number of a message that is published on its topic.
+//! The layout for `PlotJuggler` draws what messages have: every curve is a number of a message that is published on its topic, or is
+//! computed from such numbers.
 
 use std::fs;
 use std::path::Path;
@@ -16,9 +17,10 @@ const NUMBERS: [&str; 13] =
 type Definitions = &'static [(&'static str, &'static str)];
 
 /// The messages of the layout's topics.
-const TOPICS: [(&str, Definitions); 5] = [
+const TOPICS: [(&str, Definitions); 6] = [
     ("/icp_report", MatchReport::DEFINITIONS),
     ("/scan_match_location", PoseStamped::DEFINITIONS),
+    ("/gt_pose", PoseStamped::DEFINITIONS),
     ("/icp_state", Int32::DEFINITIONS),
     ("/icp/odom", Odometry::DEFINITIONS),
     ("/odom", Odometry::DEFINITIONS),
@@ -26,6 +28,19 @@ const TOPICS: [(&str, Definitions); 5] = [
 
 fn layout() -> String {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("launch/plotjuggler.xml")).unwrap()
+}
+
+/// What `PlotJuggler` computes of every quaternion.
+const ANGLES: [&str; 3] = ["roll_deg", "pitch_deg", "yaw_deg"];
+
+/// The attribute of every element that has it.
+fn attributes<'a>(layout: &'a str, attribute: &str) -> Vec<&'a str> {
+    layout.split(&format!(" {attribute}=\"")).skip(1).map(|rest| rest.split('"').next().unwrap()).collect()
+}
+
+/// The texts of all elements of this kind.
+fn texts<'a>(layout: &'a str, element: &str) -> Vec<&'a str> {
+    layout.split(&format!("<{element}>")).skip(1).map(|rest| rest.split('<').next().unwrap()).collect()
 }
 
 /// The `name` of every element of this kind.
@@ -39,7 +54,9 @@ fn field_type(definitions: Definitions, name: &str, field: &str) -> Option<Strin
     let (_, text) = definitions.iter().find(|(defined, _)| *defined == name || defined.ends_with(&format!("/{name}")))?;
     let fields = text.lines().map(|line| line.split('#').next().unwrap()).filter(|line| !line.contains('='));
     let pairs = fields.filter_map(|line| line.split_once(char::is_whitespace));
-    pairs.map(|(kind, name)| (kind.trim(), name.trim())).find(|(_, name)| *name == field).map(|(kind, _)| kind.to_owned())
+    let is_angle = name.ends_with("Quaternion") && ANGLES.contains(&field);
+    let mut pairs = pairs.map(|(kind, name)| (kind.trim(), name.trim())).chain(is_angle.then_some(("float64", field)));
+    pairs.find(|(_, name)| *name == field).map(|(kind, _)| kind.to_owned())
 }
 
 /// Whether a message has a number at the end of this path of fields.
@@ -61,13 +78,58 @@ fn every_curve_is_a_number_of_a_message() {
     let layout = layout();
     let curves = names(&layout, "curve");
     assert!(curves.len() > 10, "{curves:?}");
-    let missing: Vec<_> = curves.into_iter().filter(|curve| !is_drawn(curve)).collect();
+    let computed = names(&layout, "snippet");
+    let missing: Vec<_> = curves.into_iter().filter(|curve| !is_drawn(curve) && !computed.contains(curve)).collect();
     assert!(missing.is_empty(), "{missing:?}");
     for topic in names(&layout, "topic") {
         assert!(TOPICS.iter().any(|(known, _)| *known == topic), "{topic}");
     }
     for wrong in ["/icp_report/elapsd", "/icp_report/reason", "/icp_report/header", "/icp_reports/elapsed", "/odom/pose/pose/x"] {
         assert!(!is_drawn(wrong), "{wrong}");
+    }
+}
+
+#[test]
+fn planes_and_computed_curves_are_of_numbers_of_messages() {
+    let layout = layout();
+    let sources = ["linked_source", "v1", "v2", "v3"].map(|element| texts(&layout, element)).concat();
+    let axes = ["curve_x", "curve_y"].map(|attribute| attributes(&layout, attribute)).concat();
+    assert!(sources.len() >= 4 && axes.len() >= 8, "{sources:?} {axes:?}");
+    let missing: Vec<_> = sources.into_iter().chain(axes).filter(|curve| !is_drawn(curve)).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+}
+
+#[test]
+fn truth_is_drawn_beside_the_match_and_cost_beside_its_limit() {
+    let layout = layout();
+    let plot =
+        |name: &str| layout.split(&format!("<DockArea name=\"{name}\">")).nth(1).unwrap().split("</DockArea>").next().unwrap();
+    for (name, curves) in [
+        ("x", ["/scan_match_location/pose/position/x", "/gt_pose/pose/position/x"]),
+        ("y", ["/scan_match_location/pose/position/y", "/gt_pose/pose/position/y"]),
+        ("yaw", ["/scan_match_location/pose/orientation/yaw_deg", "/gt_pose/pose/orientation/yaw_deg"]),
+        ("error", ["position_error", "yaw_error_deg"]),
+        ("delay against the budget", ["/icp_report/elapsed", "/icp_report/time_budget"]),
+    ] {
+        assert_eq!(names(plot(name), "curve"), curves, "{name}");
+    }
+    assert_eq!(attributes(plot("path"), "curve_x"), ["/scan_match_location/pose/position/x", "/gt_pose/pose/position/x"]);
+    assert_eq!(attributes(plot("residual by iterations"), "curve_x"), ["/icp_report/iterations"]);
+}
+
+/// Since `PlotJuggler` 2.1 the topics are one text, not elements of their own.
+#[test]
+fn every_topic_that_is_drawn_is_selected() {
+    let layout = layout();
+    let selected: Vec<&str> =
+        layout.split("<selected_topics value=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
+    assert_eq!(selected.len(), 2, "of a bag, and live");
+    for topics in selected {
+        let mut topics: Vec<&str> = topics.split(';').collect();
+        let mut known = TOPICS.map(|(topic, _)| topic);
+        topics.sort_unstable();
+        known.sort_unstable();
+        assert_eq!(topics, known);
     }
 }
 

@@ -108,6 +108,8 @@ fn bags_that_are_no_good_are_named_with_the_remedy() {
     let text = path("text.bag");
     fs::write(&text, "this is no bag\n").unwrap();
     assert!(failure(&["replay", &text], 1).contains("text.bag"));
+    let idle = anytime(&["replay", "bags/demo.bag", "--json", "--set", "matching.solver=point_to_point"]);
+    assert!(String::from_utf8(idle.stderr).unwrap().contains("point_to_point changes nothing"));
     let no_topic = failure(&["replay", "bags/demo.bag", "--scan-topic", "/scam"], 1);
     assert!(no_topic.contains("/scam") && no_topic.contains("/scan"), "{no_topic}");
     let wrong_type = failure(&["replay", "bags/demo.bag", "--scan-topic", "/odom"], 1);

@@ -5,6 +5,7 @@ use std::f64::consts::PI;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use anytime_scan_matcher::app::planar_pose;
 use anytime_scan_matcher::geometry::{Point, Pose2, Twist2, wrap_angle};
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::io::gray_image::GrayImage;
@@ -16,6 +17,7 @@ use anytime_scan_matcher::messages::encode;
 use anytime_scan_matcher::messages::geometry_msgs::Pose;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::scan::{BeamGeometry, ScanConverter};
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{START, Settings, SimulatedMessage, simulate, truth_message};
@@ -562,6 +564,32 @@ fn the_demo_bag_is_a_drive_of_the_defaults_to_the_bit() {
         [message.time.nanoseconds().to_le_bytes().to_vec(), message.data].concat()
     });
     assert!(recorded.eq(bytes(&record(&settings, &corridor()))));
+}
+
+#[test]
+fn a_simulated_bag_says_the_odometry_to_tf_too() {
+    let folder = tempfile::TempDir::new().unwrap();
+    let out = folder.path().join("out.bag");
+    let mut settings = Settings::default();
+    settings.drive.duration = Seconds(0.5);
+    let bag = BagWriter::create(&out, Compression::None).unwrap();
+    simulated_bag::record(&settings, &corridor(), bag, TumWriter::new(std::io::sink())).unwrap();
+    let (mut odometry, mut transforms) = (Vec::new(), Vec::new());
+    for message in Bag::open(&out).unwrap().messages(None) {
+        let message = message.unwrap();
+        match message.connection.topic.as_str() {
+            "/odom" => odometry.push(message.decode::<Odometry>().unwrap()),
+            "/tf" => transforms.extend(message.decode::<TFMessage>().unwrap().transforms),
+            _ => {}
+        }
+    }
+    assert!(odometry.len() > 10 && odometry.len() == transforms.len(), "{} {}", odometry.len(), transforms.len());
+    for (odometry, transform) in odometry.iter().zip(&transforms) {
+        assert_eq!((&transform.header, &*transform.child_frame_id), (&odometry.header, "base_link"));
+        let t = &transform.transform;
+        let pose = Pose2::new(t.translation.x, t.translation.y, t.rotation.yaw());
+        assert_eq!((transform.header.frame_id.as_str(), pose), ("odom", planar_pose(&odometry.pose.pose).unwrap()));
+    }
 }
 
 // ---- traffic ----

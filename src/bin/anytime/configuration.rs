@@ -29,6 +29,7 @@ impl Configuration {
         for assignment in &self.set {
             config.set_assignment(assignment)?;
         }
+        config.warnings().iter().for_each(|warning| eprintln!("anytime: {warning}"));
         Ok(config)
     }
 }

@@ -7,14 +7,17 @@
 //! ```
 
 mod convert;
+mod map_server;
 mod publishers;
 mod subscriptions;
 mod worker;
 
+use std::path::Path;
 use std::sync::Arc;
 
 use rosrust::api::{Master, Ros};
 
+use self::map_server::MapServer;
 use self::publishers::Publishers;
 use self::subscriptions::{Input, subscribe};
 use self::worker::Worker;
@@ -31,6 +34,8 @@ use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
 use crate::anytime::interrupt::Request;
 use crate::config::Config;
+use crate::io::map_file;
+use crate::map::grid::OccupancyGrid;
 
 const NAME: &str = "particle_filter";
 /// The service that begins anew, and what it answers.
@@ -56,12 +61,15 @@ fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input
     let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
     let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
     let request = Arc::new(Request::default());
-    let publishers = Publishers::new(ros, &config.frames)?;
+    let map = read_map_file(config, log);
+    let map_server = map.as_ref().map(|map| MapServer::new(ros, config, log, map)).transpose()?.flatten();
+    let (map_server, static_map) = map_server.unzip();
+    let publishers = Publishers::new(ros, &config.frames, map_server)?;
     let diagnostics = Diagnostics::new(ros, TASK)?;
     let mut roles = publishers.roles();
     roles.extend(Input::ALL.map(|input| input.topic().role()));
 
-    let services = vec![services::reset(ros, GLOBAL, &mailbox)?];
+    let services = [services::reset(ros, GLOBAL, &mailbox)?].into_iter().chain(static_map).collect();
     let links = Links::new(ros, &clock, log)?;
     Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, &mailbox, &request))?;
     let worker = Worker::new(
@@ -73,8 +81,15 @@ fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input
         Arc::clone(&monitor),
         log.clone(),
     );
-    let worker = supervisor::spawn("localizing", || worker.run())?;
+    let worker = supervisor::spawn("localizing", || worker.run(map))?;
     Ok(Parts { clock, mailbox, monitor, diagnostics, worker, links, services, roles })
+}
+
+/// The map of the file that the configuration names. One that is of no use is told: the map may still come on the topic.
+fn read_map_file(config: &Config, log: &Log) -> Option<OccupancyGrid> {
+    let path = config.localization.map.as_deref()?;
+    let map = map_file::read(Path::new(path));
+    map.inspect_err(|error| log.error(&format!("{error}; waiting for a map on the topic map"))).ok()
 }
 
 /// Says that the node is ready, and what for.

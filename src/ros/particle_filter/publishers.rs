@@ -7,6 +7,7 @@ use rosrust_msg::nav_msgs::Odometry;
 use rosrust_msg::sensor_msgs::LaserScan as ScanMessage;
 
 use super::convert::{Placed, fake_scan, particles, report};
+use super::map_server::MapServer;
 use crate::app::localizer::{Fix, Localizer};
 use crate::config::FrameKnobs;
 use crate::geometry::Pose2;
@@ -28,11 +29,13 @@ pub(super) struct Publishers {
     inferred_pose: Output<PoseStamped>,
     fake_scan: Output<ScanMessage>,
     transform: TransformOutput,
+    /// Where the map came from a file.
+    map: Option<MapServer>,
     last_pose: Option<Stamp>,
 }
 
 impl Publishers {
-    pub(super) fn new(ros: &Ros, frames: &FrameKnobs) -> Result<Self, NodeError> {
+    pub(super) fn new(ros: &Ros, frames: &FrameKnobs, map: Option<MapServer>) -> Result<Self, NodeError> {
         let transform = TransformOutput::default();
         transform.switch(ros, &frames.odom_frame, frames.publish_tf)?;
         Ok(Self {
@@ -42,6 +45,7 @@ impl Publishers {
             inferred_pose: Output::new(ros, "pf/viz/inferred_pose")?,
             fake_scan: Output::new(ros, "pf/viz/fake_scan")?,
             transform,
+            map,
             last_pose: None,
         })
     }
@@ -50,7 +54,7 @@ impl Publishers {
     pub(super) fn roles(&self) -> Vec<Role> {
         let always =
             [self.pose.role(), self.report.role(), self.particles.role(), self.inferred_pose.role(), self.fake_scan.role()];
-        always.into_iter().chain(self.transform.role()).collect()
+        always.into_iter().chain(self.transform.role()).chain(self.map.iter().flat_map(MapServer::roles)).collect()
     }
 
     /// The output of transforms.

@@ -1,6 +1,5 @@
 //! The localizing thread: empties the mailbox, drives the filter and publishes what it believes.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -14,7 +13,6 @@ use crate::app::localizer::{Fix, Localizer};
 use crate::app::{InputError, MountSource, map_message};
 use crate::config::Config;
 use crate::geometry::PoseCovariance;
-use crate::io::map_file;
 use crate::localization::filter::Belief;
 use crate::map::grid::OccupancyGrid;
 use crate::messages::own::Contract;
@@ -91,11 +89,13 @@ impl Worker {
         }
     }
 
-    /// Works until the mailbox is closed.
-    pub(super) fn run(mut self) {
+    /// Works until the mailbox is closed; from the start on this map, if there is one already.
+    pub(super) fn run(mut self, map: Option<OccupancyGrid>) {
         let mut urgency = Urgency::of_this_thread();
         urgency.set(false);
-        self.read_map_file();
+        if let Some(map) = map {
+            self.set_map(map);
+        }
         let mut timer = self.config.localization.timer(self.clock.now());
         while let Some(Work { events, scan }) = self.next_work(timer.as_ref()) {
             for event in events {
@@ -122,14 +122,6 @@ impl Worker {
         match timer {
             Some(timer) => self.mailbox.take_within(timer.left(self.clock.now())),
             None => self.mailbox.take(),
-        }
-    }
-
-    fn read_map_file(&mut self) {
-        let Some(path) = self.config.localization.map.clone() else { return };
-        match map_file::read(Path::new(&path)) {
-            Ok(map) => self.set_map(map),
-            Err(error) => self.log.error(&format!("{error}; waiting for a map on the topic map")),
         }
     }
 
