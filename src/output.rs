@@ -43,6 +43,12 @@ impl OutputFile {
         Ok(output)
     }
 
+    /// Begins a file that grows while a program runs, and holds what there is should the program be killed: in its place where nothing is
+    /// there to be lost, else beside it.
+    pub fn record(path: &Path) -> io::Result<Self> {
+        if fs::symlink_metadata(path).is_ok() { Self::create(path) } else { Self::in_place(path) }
+    }
+
     /// Begins a file in its place, whatever is there: for records that are to be found there as far as they go.
     pub fn in_place(path: &Path) -> io::Result<Self> {
         Ok(Self { file: File::create(path)?, place: path.into(), part: None })

@@ -1,5 +1,5 @@
-//! The tables of a study. What a run has found is in the files before the next one begins; they are in their places once the study is
-//! done.
+//! The tables of a study. What a run has found is in the files before the next one begins; older files are
+//! replaced once the study is done.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -132,7 +132,7 @@ struct Table {
 
 impl Table {
     fn create(path: PathBuf, header: &[&str]) -> Result<Self, ProfileError> {
-        let file = OutputFile::create(&path).map_err(|error| ProfileError::write(&path, error))?;
+        let file = OutputFile::record(&path).map_err(|error| ProfileError::write(&path, error))?;
         let mut table = Self { path, writer: csv::Writer::from_writer(file) };
         table.write(header)?;
         Ok(table)

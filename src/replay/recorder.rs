@@ -40,7 +40,7 @@ pub struct OutputFiles {
     pub csv: Option<PathBuf>,
 }
 
-/// Takes every answer of a replay. What it has taken is in the files; these are in their places once it has [finished](Self::finish).
+/// Takes every answer of a replay. What it has taken is in the files; older ones are replaced once it has [finished](Self::finish).
 pub struct Recorder {
     files: OutputFiles,
     tum: Option<TumWriter<OutputFile>>,
@@ -98,7 +98,7 @@ impl Recorder {
 }
 
 fn create(path: &Path) -> Result<OutputFile, RecordError> {
-    OutputFile::create(path).map_err(|error| failed(path, error))
+    OutputFile::record(path).map_err(|error| failed(path, error))
 }
 
 fn failed(path: &Path, error: io::Error) -> RecordError {
