@@ -448,8 +448,11 @@ impl App {
 
     fn note_mount_jump(&mut self, laser_frame: &str) {
         let place = self.mount.base_from_laser;
-        let before = self.last_mount.replace((laser_frame.into(), place)).filter(|(frame, _)| frame == laser_frame);
-        let Some(motion) = before.map(|(_, before)| before.between(&place)) else { return };
+        let Some((_, before)) = self.last_mount.as_mut().filter(|(frame, _)| frame == laser_frame) else {
+            self.last_mount = Some((laser_frame.into(), place));
+            return;
+        };
+        let motion = std::mem::replace(before, place).between(&place);
         if !self.mount_jumped && (motion.distance() > MOUNT_JUMP || motion.theta.abs() > MOUNT_JUMP) {
             self.mount_jumped = true;
             let (distance, degrees) = (motion.distance(), motion.theta.to_degrees());

@@ -68,8 +68,7 @@ impl MotionSources {
     /// The motion of the base from one time to another, seen from the first; `None` where nothing covers it.
     pub fn motion(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
         let motion = self.motion_without_imu(from, to)?;
-        let turn = self.believed_turn(from, to).filter(|_| self.transforms.motion(from, to).is_none());
-        Some(turn.map_or(motion, |turn| with_turn(&motion, turn)))
+        Some(self.believed_turn(from, to).map_or(motion, |(turn, _)| with_turn(&motion, turn)))
     }
 
     /// The same by all but the IMU.
@@ -89,8 +88,10 @@ impl MotionSources {
         self.heading_disbelieved = !believed;
     }
 
-    fn believed_turn(&self, from: Stamp, to: Stamp) -> Option<f64> {
-        if self.heading_disbelieved { None } else { self.heading.turn(from, to) }
+    /// The same where it is believed, and no other node's transforms say more.
+    fn believed_turn(&self, from: Stamp, to: Stamp) -> Option<(f64, f64)> {
+        let is_heard = !self.heading_disbelieved && self.transforms.motion(from, to).is_none();
+        if is_heard { self.turn_by_imu(from, to) } else { None }
     }
 
     fn by_velocity(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
@@ -101,9 +102,7 @@ impl MotionSources {
     /// A motion that was predicted some other way, with the IMU's turn where that is known better. Where the two contradict one another,
     /// one of them is wrong, and the heading is known no better than that.
     pub fn with_heading(&self, motion: Pose2, covariance: PoseCovariance, from: Stamp, to: Stamp) -> (Pose2, PoseCovariance) {
-        let turn = self.believed_turn(from, to).filter(|_| self.transforms.motion(from, to).is_none());
-        let Some(turn) = turn else { return (motion, covariance) };
-        let deviation = HEADING_ERROR + HEADING_SCALE_ERROR * turn.abs();
+        let Some((turn, deviation)) = self.believed_turn(from, to) else { return (motion, covariance) };
         let mut known = covariance;
         let difference = wrap_angle(turn - motion.theta);
         if difference.abs() > CONTRADICTING * covariance[(2, 2)].sqrt().hypot(deviation) {

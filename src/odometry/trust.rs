@@ -1,5 +1,5 @@
-//! Whether a source of motion is to be believed, each judged on its own: wheels that slip, or that count up while the robot backs, say the same wrong thing for seconds
-//! (the latter is in the fr079 log). One wrong step is put right by its match; a prior that is wrong scan after scan drags the matches along
+//! Whether a source of motion is to be believed, each judged on its own: wheels that slip, or that count up while the robot backs, say the
+//! same wrong thing for seconds (the latter is in the fr079 log). One wrong step is put right by its match; a prior that is wrong scan after scan drags the matches along
 //! until they fit nothing.
 
 use nalgebra::Vector3;
