@@ -1,6 +1,6 @@
-//! Instructions of one match, counted by callgrind: figures that no other program spoils. `cargo test --bench instructions` holds those
-//! of the tests' profile, and `cargo bench --bench instructions` those of the release, against the file kept in `benches/instructions/`,
-//! where that was written with the same compiler for the same instruction set; `UPDATE_GOLDEN=1` renews it.
+//! Instructions of one match, counted by callgrind: figures that no other program spoils. `CARGO_INCREMENTAL=0 cargo test --bench
+//! instructions` holds those of the tests' profile, and `cargo bench` in its place those of the release, against the file kept in
+//! `benches/instructions/`, where that was written with the same compiler for the same instruction set; `UPDATE_GOLDEN=1` renews it.
 #![allow(missing_docs, clippy::panic, clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
 
 mod walk;
@@ -75,11 +75,13 @@ fn file() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/instructions").join(profile).with_extension("csv")
 }
 
-/// What the figures hang on beside code and profile: instruction set and compiler.
+/// What the figures hang on beside code and profile: instruction set, compiler, and whether it worked incrementally, which cuts the
+/// crate into smaller parts and inlines less.
 fn circumstances() -> String {
     let level = String::from_utf8(valgrind(&["--tool=none"], &[LEVEL]).stdout).unwrap();
     let compiler = String::from_utf8(Command::new("rustc").arg("--version").output().unwrap().stdout).unwrap();
-    format!("# {}, {}", level.split('(').next().unwrap().trim(), compiler.trim())
+    let build = if option_env!("CARGO_INCREMENTAL") == Some("0") { "whole" } else { "incremental" };
+    format!("# {}, {}, {build}", level.split('(').next().unwrap().trim(), compiler.trim())
 }
 
 /// Instructions of one match.
