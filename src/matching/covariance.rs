@@ -13,6 +13,8 @@ use crate::geometry::{Point, Pose2, PoseCovariance, perpendicular};
 pub struct Uncertainty {
     /// Covariance of the pose (m, m, rad); `None` where the pairs leave a direction open.
     pub covariance: Option<PoseCovariance>,
+    /// What the pairs alone say of the pose, in its covariance's units, inverted: nothing along [`Self::free_direction`].
+    pub information: Matrix3<f64>,
     /// Ratio of the largest to the smallest eigenvalue of the information matrix, headings measured by their effect at the pairs'
     /// mean distance; infinite where the pairs leave a direction open.
     pub condition_number: f64,
@@ -75,8 +77,10 @@ impl UncertaintyEstimator {
         for by_range in &self.by_reference_range {
             add_outer(&mut sums.spread, by_range);
         }
+        let covariance = sums.covariance(solution.range_noise);
         Uncertainty {
-            covariance: sums.covariance(solution.range_noise),
+            covariance,
+            information: covariance.and_then(|covariance| covariance.try_inverse()).unwrap_or_default(),
             condition_number: condition_number(&symmetric(&sums.information), sums.distance / solution.pairs.len().max(1) as f64),
             free_direction: None,
         }

@@ -1,6 +1,7 @@
 //! A scan that is to be matched: what is known of its pose beforehand.
 
 use super::local_map::Placement;
+use super::motion_state::MotionState;
 use super::uncertainty;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::matching::{Prior, SearchWindow};
@@ -20,8 +21,8 @@ pub(super) struct Last {
     pub(super) covariance: PoseCovariance,
     /// The velocity that led from the answer before to this one.
     pub(super) seen_twist: Twist2,
-    /// The velocity that is believed in.
-    pub(super) twist: Twist2,
+    /// The velocity that is believed in, and what is known of it.
+    pub(super) motion: MotionState,
 }
 
 /// A motion of the base that is expected, seen from its start.
@@ -44,7 +45,7 @@ impl Prediction {
 pub(super) struct Attempt {
     /// The answer before.
     pub(super) last: Last,
-    /// Motion of the base since then.
+    /// MotionState of the base since then.
     pub(super) prediction: Prediction,
     /// What odometry says of that motion, believed or not.
     pub(super) said: Option<Prediction>,

@@ -10,6 +10,7 @@ mod drift;
 pub mod heading;
 mod local_map;
 mod loop_closure;
+mod motion_state;
 mod registration;
 pub mod sources;
 mod trust;
@@ -28,6 +29,7 @@ use clock_step::ClockStep;
 use heading::HeadingReading;
 use local_map::{LocalMap, Placement, Unrecognised};
 use loop_closure::{LoopCloser, Recognition, Sighting};
+use motion_state::MotionState;
 pub use registration::{MatchedPoints, Outcome, RefinementReport, Registration};
 use registration::{matched_points, report};
 use sources::MotionSources;
@@ -36,8 +38,6 @@ use wheel::{WheelEvent, WheelSample};
 
 /// Stamps that go back farther than this start a new run (a bag played in a loop); less is a scan out of order, s.
 const NEW_RUN: f64 = 1.0;
-/// A constant velocity predicts over gaps up to this, s.
-const MAX_PREDICTION_GAP: f64 = 1.0;
 /// A pose farther than this, m, from where the velocity before leads has jumped, ...
 const JUMP: f64 = 0.04;
 /// as has one with this turn, rad, ...
@@ -326,7 +326,7 @@ impl LaserOdometry {
         }
         let start = scan.stamp().offset_by(first_ray.min(first_ray + sweep));
         let by_wheels = self.sources.motion(start, start.offset_by(seconds)).filter(|_| self.trust.is_given());
-        let motion = by_wheels.or_else(|| Some(self.last?.twist.motion(seconds)))?;
+        let motion = by_wheels.or_else(|| Some(self.last?.motion.twist.motion(seconds)))?;
         let laser_motion = base_from_laser.inverse() * motion * *base_from_laser;
         Some(scan.undistorted(&Twist2::of_motion(&laser_motion, seconds), first_ray, sweep))
     }
@@ -383,6 +383,8 @@ impl LaserOdometry {
         }
         // Where the scans leave a direction open, what is known of it is the prediction.
         let prediction_covariance = attempt.prediction.covariance;
+        let prior = attempt.prior(keyframe).covariance.try_inverse().unwrap_or_default();
+        let known = uncertainty.and_then(|known| (known.information + prior).try_inverse());
         let match_covariance = match_covariance.unwrap_or(prediction_covariance);
         let laser_covariance =
             uncertainty::compound(&keyframe.map_from_laser, &keyframe.covariance, &keyframe_from_laser, &match_covariance);
@@ -393,6 +395,10 @@ impl LaserOdometry {
             map_from_base: map_from_laser * laser_from_base,
             covariance: uncertainty::compound(&map_from_laser, &laser_covariance, &laser_from_base, &PoseCovariance::zeros()),
             step_covariance: uncertainty::turned(&match_covariance, keyframe.map_from_laser.theta),
+            matched_covariance: known.map(|known| {
+                let of_base = uncertainty::compound(&keyframe_from_laser, &known, &laser_from_base, &PoseCovariance::zeros());
+                uncertainty::turned(&of_base, -base_heading)
+            }),
             refinement: Some(report),
             predicted_error: ErrorEstimate::of_covariance(&prediction_covariance),
             estimated_error,
@@ -515,7 +521,7 @@ impl LaserOdometry {
         };
         self.counters.predicted += 1;
         let answer = self.registration(Outcome::Predicted(problem), last.map_from_base, &last.covariance);
-        Some(Registration { twist: last.twist, ..answer })
+        Some(Registration { twist: last.motion.twist, ..answer })
     }
 
     /// Whether this is the first scan of an earlier time, and odometry has yet to say where the robot is at that time.
@@ -565,6 +571,7 @@ impl LaserOdometry {
             map_from_base,
             covariance,
             step_covariance: covariance,
+            matched_covariance: None,
             refinement: None,
             predicted_error: ErrorEstimate::of_covariance(&covariance),
             estimated_error: ErrorEstimate::of_covariance(&covariance),
@@ -593,6 +600,7 @@ impl LaserOdometry {
             map_from_base,
             covariance: pose_covariance,
             step_covariance: uncertainty::turned(covariance, last.map_from_base.theta),
+            matched_covariance: None,
             refinement,
             predicted_error: error,
             estimated_error: error,
@@ -617,10 +625,15 @@ impl LaserOdometry {
         let covariance = uncertainty::compound(&map_from_base, &covariance, &motion, &motion_covariance);
         let map_from_base = map_from_base * motion;
         let error = ErrorEstimate::of_covariance(&motion_covariance);
-        let twist = self.last.map(|last| last.twist).unwrap_or_default();
+        let state = self.last.map_or_else(
+            || MotionState::unknown(&covariance),
+            |last| last.motion.expect(stamp.seconds_since(last.stamp)).unseen(),
+        );
+        let twist = state.twist;
         // The next scan's prediction starts from the last scan there was; where there was none, from here.
         if self.keyframe.is_none() && self.upcoming_keyframe.is_none() {
-            self.last = Some(Last { stamp, map_from_base, map_from_laser: map_from_base, covariance, seen_twist: twist, twist });
+            self.last =
+                Some(Last { stamp, map_from_base, map_from_laser: map_from_base, covariance, seen_twist: twist, motion: state });
         }
         Registration {
             twist,
@@ -649,12 +662,8 @@ impl LaserOdometry {
         self.counters.odometry_disbelieved += u64::from(said.is_some() && believed.is_none());
         self.counters.imu_disbelieved += u64::from(!self.imu_trust.is_given());
         let seconds = stamp.seconds_since(last.stamp);
-        let constant_velocity = || Prediction {
-            motion: if seconds <= MAX_PREDICTION_GAP { last.twist.motion(seconds) } else { Pose2::IDENTITY },
-            covariance: uncertainty::of_constant_velocity(seconds),
-        };
         let by_odometry = believed.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion) });
-        let Prediction { motion, covariance } = by_odometry.unwrap_or_else(constant_velocity);
+        let Prediction { motion, covariance } = by_odometry.unwrap_or_else(|| last.motion.expect(seconds).prediction());
         let (motion, covariance) = self.sources.with_heading(motion, covariance, last.stamp, stamp);
         Prediction { motion, covariance }
     }
@@ -671,19 +680,26 @@ impl LaserOdometry {
         }
     }
 
-    /// The velocity that leads from the last answer to this one, and the velocity to believe in: a pose that jumps, as when the robot is
-    /// carried off, is no velocity unless it goes on like that.
-    fn velocity(&self, map_from_base: &Pose2, seconds: Option<f64>) -> (Twist2, Twist2) {
-        let (Some(last), Some(seconds)) = (self.last, seconds) else { return Default::default() };
-        let seen = Twist2::of_motion(&last.map_from_base.between(map_from_base), seconds);
-        let goes_on = [last.twist, last.seen_twist].iter().any(|before| is_steady(before, &seen, seconds));
-        (seen, if goes_on { seen } else { last.twist })
+    /// What the answer for a scan taken at `stamp` says of the velocity, and whether the robot can have come to it by driving: a pose that
+    /// jumps, as when the robot is carried off, is no velocity unless it goes on like that.
+    fn motion(&self, stamp: Stamp, answer: &Answer) -> (Twist2, MotionState, bool) {
+        let Some(last) = self.last else { return (Twist2::default(), MotionState::unknown(&PoseCovariance::zeros()), true) };
+        let seconds = stamp.seconds_since(last.stamp);
+        let moved = last.map_from_base.between(&answer.map_from_base);
+        let seen = Twist2::of_motion(&moved, seconds);
+        let goes_on = [last.motion.twist, last.seen_twist].iter().any(|before| is_steady(before, &seen, seconds));
+        let expected = last.motion.expect(seconds);
+        let motion = match &answer.matched_covariance {
+            Some(known) if goes_on => expected.found(&moved, known),
+            Some(known) => expected.carried_off(known),
+            None => expected.unseen(),
+        };
+        (seen, motion, goes_on)
     }
 
     fn conclude(&mut self, scan: &Scan, base_from_laser: &Pose2, answer: Answer, becomes_keyframe: bool) -> Registration {
-        let seconds = self.last.map(|last| scan.stamp().seconds_since(last.stamp));
-        let (seen_twist, twist) = self.velocity(&answer.map_from_base, seconds);
-        let is_lost = answer.is_lost || twist != seen_twist;
+        let (seen_twist, motion, goes_on) = self.motion(scan.stamp(), &answer);
+        let is_lost = answer.is_lost || !goes_on;
         let becomes_keyframe = becomes_keyframe || is_lost;
         let map_from_laser = answer.map_from_base * *base_from_laser;
         if becomes_keyframe {
@@ -693,20 +709,17 @@ impl LaserOdometry {
             let place = Placement { map_from_laser, covariance, step_covariance: answer.step_covariance };
             self.upcoming_keyframe = Some(UpcomingKeyframe { scan: scan.clone(), place, is_lost });
         }
-        let twist_covariance = seconds.map_or_else(PoseCovariance::zeros, |seconds| {
-            uncertainty::turned(&answer.step_covariance, -answer.map_from_base.theta) * 2.0 / (seconds * seconds)
-        });
         self.last = Some(Last {
             stamp: scan.stamp(),
             map_from_base: answer.map_from_base,
             map_from_laser,
             covariance: answer.covariance,
             seen_twist,
-            twist,
+            motion,
         });
         Registration {
-            twist,
-            twist_covariance,
+            twist: motion.twist,
+            twist_covariance: motion.twist_covariance(),
             refinement: answer.refinement,
             predicted_error: answer.predicted_error,
             estimated_error: answer.estimated_error,
@@ -733,6 +746,8 @@ struct Answer {
     covariance: PoseCovariance,
     /// What the step from the last answer, or the keyframe, adds to that.
     step_covariance: PoseCovariance,
+    /// Of a match: what is known of the pose among the keyframes, along the axes of the base.
+    matched_covariance: Option<PoseCovariance>,
     refinement: Option<RefinementReport>,
     predicted_error: ErrorEstimate,
     estimated_error: ErrorEstimate,

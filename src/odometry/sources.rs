@@ -162,7 +162,7 @@ mod tests {
     #[test]
     fn an_imu_alone_turns_what_was_predicted_and_says_how_well() {
         let mut sources = MotionSources::default();
-        let covariance = uncertainty::of_constant_velocity(0.1);
+        let covariance = uncertainty::diagonal(0.035, 0.11);
         let straight = Pose2::new(0.1, 0.0, 0.0);
         assert_eq!(sources.with_heading(straight, covariance, at(0.0), at(0.1)), (straight, covariance));
         for (seconds, yaw) in [(0.0, 0.0), (0.1, 0.2)] {

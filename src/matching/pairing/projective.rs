@@ -10,7 +10,7 @@
 //! for it, and not in the rest, weighs less.
 
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Matrix3, Vector3};
 
 use super::range_noise::RangeNoise;
 use super::verdict::Verdict;
@@ -417,6 +417,14 @@ impl Projective {
     }
 }
 
+/// What is left of an information matrix when nothing is known along a direction of the translation.
+fn without(information: &Matrix3<f64>, direction: &Point) -> Matrix3<f64> {
+    let open = Vector3::new(direction.x, direction.y, 0.0);
+    let by_open = information * open;
+    let along = open.dot(&by_open);
+    if along > 0.0 { information - by_open * by_open.transpose() / along } else { *information }
+}
+
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts of rays, and to single precision
 impl Pairing for Projective {
     fn view(&mut self, scan: Scan) -> View {
@@ -519,7 +527,9 @@ impl Pairing for Projective {
         with_prior += self.prior;
         let covariance = (0.5 * with_prior.linearize(pose).1).try_inverse().map(|inverse| inverse * noise * both);
         let open = free_direction.is_some() && self.guess.prior.is_none();
+        let seen = free_direction.map_or(information, |direction| without(&information, &direction)) / (noise * both);
         Uncertainty {
+            information: seen,
             covariance: covariance.filter(|covariance| !open && covariance.iter().all(|v| v.is_finite())),
             condition_number: match free_direction {
                 Some(_) => f64::INFINITY,
