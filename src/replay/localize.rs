@@ -8,17 +8,17 @@ use std::time::Duration;
 use comfy_table::{Table, presets};
 use serde_json::{Value, json};
 
-use super::{ReplayLog, Topics, feed, microseconds};
+use super::{ReplayLog, Topics, feed, microseconds, sensed};
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
 use crate::app::localizer::{Fix, Localizer};
+use crate::app::sensed::Sensed;
 use crate::evaluation::association::MatchedPose;
 use crate::evaluation::statistics::{PoseErrors, percentile};
 use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::Pose2;
 use crate::io::bag::{Bag, BagError};
 use crate::matching::StopReason;
-use crate::messages::sensor_msgs::LaserScan;
 use crate::time::Stamp;
 
 /// What became of a scan.
@@ -43,14 +43,14 @@ pub fn localize<E: From<BagError>>(
     localizer: &mut Localizer,
     clock: &dyn Clock,
     on_message: impl FnMut(),
-    mut on_answer: impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
+    mut on_answer: impl FnMut(&Answer, &Sensed) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
     let mut timer = localizer.config().localization.timer(Duration::ZERO);
-    let mut held: Option<LaserScan> = None;
+    let mut held: Option<Sensed> = None;
     let mut start = None;
     let log = feed(bag, topics, localizer, on_message, |message, localizer, log| {
         let arrival = clock.now();
-        let scan = match message.decode::<LaserScan>() {
+        let scan = match sensed(message) {
             Ok(scan) => scan,
             Err(error) => {
                 log.note(&error);
@@ -72,11 +72,11 @@ pub fn localize<E: From<BagError>>(
 
 fn answer<E>(
     localizer: &mut Localizer,
-    scan: &LaserScan,
+    scan: &Sensed,
     arrival: Duration,
-    on_answer: &mut impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
+    on_answer: &mut impl FnMut(&Answer, &Sensed) -> Result<(), E>,
 ) -> Result<(), E> {
-    let mut fix = localizer.on_scan(scan, arrival, &Never);
+    let mut fix = localizer.on_sensed(scan, arrival, &Never);
     localizer.conclude(&mut fix);
     on_answer(&Answer::Fix(Box::new(fix)), scan)?;
     localizer.maintain(&Never);
@@ -85,10 +85,10 @@ fn answer<E>(
 
 fn pass_over<E>(
     localizer: &Localizer,
-    scan: &LaserScan,
-    on_answer: &mut impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
+    scan: &Sensed,
+    on_answer: &mut impl FnMut(&Answer, &Sensed) -> Result<(), E>,
 ) -> Result<(), E> {
-    let stamp = scan.header.stamp.into();
+    let stamp = scan.stamp();
     let Some(map_from_base) = localizer.carried_to(stamp) else { return Ok(()) };
     on_answer(&Answer::Between { stamp, map_from_base }, scan)
 }

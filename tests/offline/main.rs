@@ -6,6 +6,7 @@
 mod app;
 mod bag;
 mod cases;
+mod clouds;
 #[path = "../common/mod.rs"]
 mod common;
 mod contract;

@@ -21,9 +21,9 @@ const VIRTUAL_TICK: Duration = Duration::from_micros(10);
 
 #[derive(Args)]
 pub(crate) struct InputFlags {
-    /// Topic of the laser scans
-    #[arg(long, default_value = "/scan")]
-    scan_topic: String,
+    /// Topic of the laser scans, or of point clouds: its type tells [default: /scan; with `cloud.input` /cloud]
+    #[arg(long)]
+    scan_topic: Option<String>,
     /// Topic of the wheel odometry [default: /odom, if the bag has it]
     #[arg(long)]
     odom_topic: Option<String>,
@@ -44,8 +44,9 @@ pub(crate) struct InputFlags {
 }
 
 impl InputFlags {
-    pub(crate) fn topics(&self, bag: &Bag) -> Result<Topics, BagError> {
-        let topics = Topics::resolve(bag, &self.scan_topic, self.odom_topic.as_deref())?;
+    pub(crate) fn topics(&self, bag: &Bag, config: &Config) -> Result<Topics, BagError> {
+        let usual = if config.cloud.input { "/cloud" } else { "/scan" };
+        let topics = Topics::resolve(bag, self.scan_topic.as_deref().unwrap_or(usual), self.odom_topic.as_deref())?;
         if self.scan_only { Ok(topics.scan_only()) } else { topics.with_imu(bag, self.imu_topic.as_deref()) }
     }
 }

@@ -79,7 +79,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     arguments.input.clock.prepare(&mut config);
     let clock = arguments.input.clock.clock();
     let bag = Bag::open(&arguments.bag)?;
-    let topics = arguments.input.topics(&bag)?;
+    let topics = arguments.input.topics(&bag, &config)?;
     let truth = arguments.input.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
     let mut localizer = Localizer::new(map_file::read(&map)?, &config, Arc::clone(&clock))?;
     localizer.warm_up();

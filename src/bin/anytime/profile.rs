@@ -34,7 +34,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
     let path = bag_path(arguments)?;
     let bag = Bag::open(&path)?;
-    let topics = input.topics(&bag)?;
+    let topics = input.topics(&bag, &config)?;
     let truth_name = truth_name(arguments, &bag)?;
     let truth = truth::load(&truth_name, &bag)?;
     let new_clock = || input.clock.clock();

@@ -25,7 +25,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     }
     files(arguments, &config).check()?;
     let bag = Bag::open(&arguments.bag)?;
-    let topics = arguments.input.topics(&bag)?;
+    let topics = arguments.input.topics(&bag, &config)?;
     let truth = arguments.input.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
     let clock = arguments.input.clock.clock();
     let mut app = App::new(&config, Arc::clone(&clock))?;

@@ -23,6 +23,9 @@ impl fmt::Display for BagSummary {
         if !self.lasers.is_empty() {
             writeln!(f, "\n{}", self.laser_table())?;
         }
+        if !self.clouds.is_empty() {
+            writeln!(f, "\n{}", self.cloud_table())?;
+        }
         if !self.odometry.is_empty() {
             writeln!(f, "\n{}", self.odometry_table())?;
         }
@@ -79,6 +82,22 @@ impl BagSummary {
                 format!("{:.1} %", laser.valid_percent),
                 laser.usable.to_string(),
                 laser.unusable.to_string(),
+            ]
+        });
+        table(&header, rows, 2)
+    }
+
+    fn cloud_table(&self) -> Table {
+        let header = ["clouds on", "frame", "points", "heights in it [m]", "usable", "unusable"];
+        let rows = self.clouds.iter().map(|cloud| {
+            let heights = cloud.lowest_m.zip(cloud.highest_m).map(|(low, high)| format!("{low:.2} to {high:.2}"));
+            vec![
+                cloud.topic.clone(),
+                listed(&cloud.frames),
+                format!("{} x {}", cloud.width, cloud.height),
+                heights.unwrap_or("-".into()),
+                cloud.usable.to_string(),
+                cloud.unusable.to_string(),
             ]
         });
         table(&header, rows, 2)
