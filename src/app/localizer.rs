@@ -68,6 +68,17 @@ pub enum NoEvidence {
     NotNewer,
 }
 
+impl NoEvidence {
+    /// Its kind, for programs.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Malformed(_) | Self::MalformedCloud(_) => "malformed_scan",
+            Self::Tilted(_) => "tilted_mount",
+            Self::NotNewer => "not_newer",
+        }
+    }
+}
+
 /// What came of a scan.
 #[derive(Clone, Debug)]
 pub struct Fix {

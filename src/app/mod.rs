@@ -30,7 +30,7 @@ use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::WheelSample;
-use crate::odometry::{LaserOdometry, MatchedPoints, OdometryCounters, Registration};
+use crate::odometry::{Failure, FailureReason, LaserOdometry, MatchedPoints, OdometryCounters, Registration};
 use crate::scan::{Scan, ScanConverter};
 use crate::time::Stamp;
 use crate::transforms::{Mount, TransformTree};
@@ -239,15 +239,16 @@ impl App {
     /// [`Self::conclude`] is to follow.
     pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration) -> Estimate {
         self.answer(&message.header, arrival, |app| {
-            app.mount.check_level(&app.config.frames.base_frame, &message.header.frame_id).map_err(|e| e.to_string())?;
-            app.converter.convert(message, app.mount.upside_down).map_err(|e| format!("malformed scan: {e}"))
+            let level = app.mount.check_level(&app.config.frames.base_frame, &message.header.frame_id);
+            level.map_err(|e| Failure::new(FailureReason::TiltedMount, e.to_string()))?;
+            app.converter.convert(message, app.mount.upside_down).map_err(|e| malformed(&e))
         })
     }
 
     /// Answers a point cloud as [`Self::on_scan`] does a scan.
     pub fn on_cloud(&mut self, message: &PointCloud2, arrival: Duration) -> Estimate {
         self.answer(&message.header, arrival, |app| {
-            cloud::scan(message, &app.config.cloud, &app.mount.level_from_laser).map_err(|e| format!("malformed scan: {e}"))
+            cloud::scan(message, &app.config.cloud, &app.mount.level_from_laser).map_err(|e| malformed(&e))
         })
     }
 
@@ -263,7 +264,7 @@ impl App {
         &mut self,
         header: &Header,
         arrival: Duration,
-        convert: impl FnOnce(&mut Self) -> Result<Scan, String>,
+        convert: impl FnOnce(&mut Self) -> Result<Scan, Failure>,
     ) -> Estimate {
         let stamp = header.stamp.into();
         self.counters.scans += 1;
@@ -473,6 +474,10 @@ impl App {
             ));
         }
     }
+}
+
+fn malformed(problem: &dyn std::fmt::Display) -> Failure {
+    Failure::new(FailureReason::MalformedScan, format!("malformed scan: {problem}"))
 }
 
 /// The pose in the plane that a message holds.

@@ -31,3 +31,4 @@ mod shell;
 mod shipped_map;
 mod simulation;
 mod solvers;
+mod terminal;

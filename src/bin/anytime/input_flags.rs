@@ -13,6 +13,7 @@ use anytime_scan_matcher::io::bag::{Bag, BagError};
 use anytime_scan_matcher::output::{Role, check_roles};
 use anytime_scan_matcher::replay::Topics;
 use clap::{Args, ValueEnum};
+use serde_json::Value;
 
 use crate::configuration::Configuration;
 
@@ -76,13 +77,30 @@ impl<'a> Files<'a> {
             .read("--config", flags.configuration.file())
             .read("contract.profile", path(&config.contract.profile))
             .read("localization.map", path(&config.localization.map))
-            .written("contract.cost_file", path(&config.contract.cost_file))
+    }
+
+    /// What is printed of a run that has written its files: `value` as JSON, or `text`; both say where the files are.
+    pub(crate) fn shown(&self, as_json: bool, value: impl FnOnce() -> Value, text: impl FnOnce() -> String) -> String {
+        if as_json {
+            let mut value = value();
+            let files = self.outputs.iter().map(|(role, path)| (key(role), path.display().to_string().into()));
+            value["files"] = Value::Object(files.collect());
+            return value.to_string();
+        }
+        let written = self.outputs.iter().map(|(_, path)| format!("\nwrote {}", path.display()));
+        [text().trim_end().to_owned()].into_iter().chain(written).collect()
     }
 
     /// Refuses an output that is an input, or another output.
     pub(crate) fn check(&self) -> anyhow::Result<()> {
         Ok(check_roles(&self.inputs, &self.outputs)?)
     }
+}
+
+/// The name of a file in JSON: that of its flag, or of its parameter.
+fn key(role: &str) -> String {
+    let name = role.rsplit(['.', ' ']).next().unwrap_or(role);
+    name.trim_start_matches('-').replace('-', "_")
 }
 
 /// The name of a picture to draw.

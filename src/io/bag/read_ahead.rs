@@ -44,6 +44,10 @@ impl<'bag> ReadAhead<'bag> {
         let is_packed = |&chunk: &usize| bag.chunks()[chunk].compression != Compression::None;
         let worthwhile = order.iter().filter(|chunk| is_packed(chunk)).count() > 1;
         let cores = if worthwhile { thread::available_parallelism().map_or(1, NonZero::get).min(MAX_CORES) } else { 1 };
+        Self::with_cores(bag, order, cores)
+    }
+
+    fn with_cores(bag: &'bag Bag, order: VecDeque<usize>, cores: usize) -> Self {
         Self { bag, to_come: order, ahead: VecDeque::new(), bytes: 0, workers: (cores > 1).then(|| Workers::new(cores)) }
     }
 
@@ -172,5 +176,79 @@ impl Queue {
         state.closed = true;
         state.jobs.clear();
         self.changed.notify_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::path::Path;
+
+    use super::*;
+    use crate::io::bag::BagWriter;
+    use crate::messages::sensor_msgs::LaserScan;
+    use crate::time::Stamp;
+
+    /// A bag of about 20 chunks.
+    fn write(path: &Path, compression: Compression) {
+        let mut writer = BagWriter::create(path, compression).unwrap();
+        for i in 0..2000_u32 {
+            let ranges = (0..2000_u32).map(|k| ((i * 31 + k * k) % 97) as f32).collect();
+            writer.write("/scan", Stamp::from_ros(1000 + i, 0), &LaserScan { ranges, ..LaserScan::default() }).unwrap();
+        }
+        writer.finish().unwrap();
+    }
+
+    /// The bytes and the problem of each chunk in the order given, and the most that were read ahead.
+    fn contents(bag: &Bag, order: &[usize], cores: usize) -> (Vec<Vec<u8>>, Vec<String>, usize) {
+        let mut ahead = ReadAhead::with_cores(bag, order.iter().copied().collect(), cores);
+        let (mut bytes, mut problems, mut most) = (Vec::new(), Vec::new(), 0);
+        while let Some(content) = ahead.next() {
+            bytes.push(content.unwrap().bytes);
+            problems.push(bag.problems().len().to_string());
+            most = most.max(ahead.ahead.len());
+        }
+        (bytes, problems, most)
+    }
+
+    #[test]
+    fn chunks_come_in_their_order_with_their_problems_on_any_number_of_cores() {
+        let folder = tempfile::tempdir().unwrap();
+        for compression in [Compression::Lz4, Compression::Bz2] {
+            let path = folder.path().join("a.bag");
+            write(&path, compression);
+            let places: Vec<u64> = Bag::open(&path).unwrap().chunks().iter().map(|chunk| chunk.data_offset + 1000).collect();
+            assert!(places.len() > 15);
+            let mut damaged = fs::read(&path).unwrap();
+            for chunk in [4, 9] {
+                let at = usize::try_from(places[chunk]).unwrap();
+                damaged[at..at + 10].fill(0x55);
+            }
+            fs::write(&path, damaged).unwrap();
+            let order: Vec<usize> = (0..places.len()).map(|i| (i * 7) % places.len()).collect();
+            let expected = contents(&Bag::open(&path).unwrap(), &order, 1);
+            assert!(expected.0.iter().filter(|bytes| bytes.is_empty()).count() == 2, "two chunks are damaged");
+            for cores in [2, 4] {
+                let found = contents(&Bag::open(&path).unwrap(), &order, cores);
+                assert!(found.0 == expected.0 && found.1 == expected.1, "{cores} cores");
+                assert!(found.2 > 0 && found.2 <= cores * CHUNKS_PER_CORE, "{} chunks ahead", found.2);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_ahead_and_not_wanted_is_not_said_to_be_lost() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bag");
+        write(&path, Compression::Lz4);
+        let bag = Bag::open(&path).unwrap();
+        let at = usize::try_from(bag.chunks()[1].data_offset + 1000).unwrap();
+        let mut bytes = fs::read(&path).unwrap();
+        bytes[at..at + 10].fill(0x55);
+        fs::write(&path, bytes).unwrap();
+        let bag = Bag::open(&path).unwrap();
+        let mut ahead = ReadAhead::with_cores(&bag, (0..3).collect(), 2);
+        assert!(ahead.next().unwrap().is_ok() && bag.problems().is_empty());
+        assert!(ahead.next().unwrap().is_ok() && bag.problems().len() == 1);
     }
 }
