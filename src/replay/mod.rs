@@ -69,7 +69,7 @@ fn expect_scans(bag: &Bag, topic: &str) -> Result<(), BagError> {
     }
     bag.expect_topic::<LaserScan>(topic).map_err(|mut error| {
         if let (BagError::NoSuchTopic { alternatives, .. }, false) = (&mut error, clouds.is_empty()) {
-            alternatives.push_str(&format!("; {} is on: {}", PointCloud2::TYPE, clouds.join(", ")));
+            alternatives.extend(["; ", PointCloud2::TYPE, " is on: ", &clouds.join(", ")]);
         }
         error
     })

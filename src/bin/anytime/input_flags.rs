@@ -79,28 +79,16 @@ impl<'a> Files<'a> {
             .read("localization.map", path(&config.localization.map))
     }
 
-    /// What is printed of a run that has written its files: `value` as JSON, or `text`; both say where the files are.
+    /// What is printed of a run that has written its files: `value` as JSON, or `text`. Where the files are, standard error says.
     pub(crate) fn shown(&self, as_json: bool, value: impl FnOnce() -> Value, text: impl FnOnce() -> String) -> String {
-        if as_json {
-            let mut value = value();
-            let files = self.outputs.iter().map(|(role, path)| (key(role), path.display().to_string().into()));
-            value["files"] = Value::Object(files.collect());
-            return value.to_string();
-        }
-        let written = self.outputs.iter().map(|(_, path)| format!("\nwrote {}", path.display()));
-        [text().trim_end().to_owned()].into_iter().chain(written).collect()
+        self.outputs.iter().for_each(|(_, path)| eprintln!("wrote {}", path.display()));
+        if as_json { value().to_string() } else { text() }
     }
 
     /// Refuses an output that is an input, or another output.
     pub(crate) fn check(&self) -> anyhow::Result<()> {
         Ok(check_roles(&self.inputs, &self.outputs)?)
     }
-}
-
-/// The name of a file in JSON: that of its flag, or of its parameter.
-fn key(role: &str) -> String {
-    let name = role.rsplit(['.', ' ']).next().unwrap_or(role);
-    name.trim_start_matches('-').replace('-', "_")
 }
 
 /// The name of a picture to draw.

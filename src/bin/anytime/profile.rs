@@ -57,7 +57,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         .written("summary", Some(&summary))
         .written("runs", Some(&runs));
     let value = || json!({ "cases": plan.cases.len(), "rounds": plan.rounds, "runs": plan.runs(), "bag_problems": problems });
-    let damage = || problems.iter().map(|problem| format!("\nwarning: the bag is damaged: {problem}")).collect::<String>();
+    let damage = || problems.iter().flat_map(|problem| ["\nwarning: the bag is damaged: ", problem]).collect::<String>();
     let cases = plan.cases.len();
     Ok(files.shown(arguments.json, value, || {
         format!(

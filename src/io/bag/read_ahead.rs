@@ -89,7 +89,7 @@ impl Workers {
         let queue = Arc::<Queue>::default();
         for _ in 1..cores {
             let queue = Arc::clone(&queue);
-            let work = move || while queue.wait_for_job().is_some_and(|job| job.finish()) {};
+            let work = move || while queue.wait_for_job().is_some_and(Job::finish) {};
             let _ = thread::Builder::new().name("unpack".into()).spawn(work);
         }
         Self { queue, limit: cores * CHUNKS_PER_CORE }
