@@ -34,7 +34,9 @@ fn help_and_tables_fit_the_terminal() {
             assert!(longest(&text) <= width, "{words:?} at {width}: {text}");
         };
         fits(&["--help"]);
-        COMMANDS.iter().for_each(|command| fits(&[command, "--help"]));
+        for command in COMMANDS {
+            fits(&[command, "--help"]);
+        }
         fits(&["info", "bags/demo.bag"]);
         fits(&["evaluate", "bags/demo.tum", "--truth", "bags/demo.tum"]);
         fits(&["replay", "bags/demo.bag", "--truth", "bags/demo.tum", "--time-budget", "5ms"]);
