@@ -22,6 +22,7 @@
 //! | [`quantile`] | quantiles in linear time |
 //! | [`output`] | files that are in their place once they are whole |
 //! | `parallel` | work that threads share |
+//! | `text_table` | tables that fit the terminal |
 //! | [`knobs`](mod@knobs) | parameters, each declared once |
 //! | [`map`] | occupancy grids, distances in them |
 //! | [`raycasting`] | how far a beam goes in a map: four methods |
@@ -83,5 +84,7 @@ pub mod scan;
 #[cfg(all(feature = "cli", target_os = "linux"))]
 pub mod shared_memory;
 pub mod simulation;
+#[cfg(feature = "cli")]
+mod text_table;
 pub mod time;
 pub mod transforms;

@@ -22,6 +22,18 @@ pub struct Mount {
     pub upside_down: bool,
     /// Angle between the plane of its sweep and that of the base, rad, from 0 to pi / 2.
     pub tilt: f64,
+    /// From the laser's frame to a level one at the same place and heading of the base's plane: z is then the height above the base.
+    pub level_from_laser: Isometry3<f64>,
+}
+
+impl Mount {
+    /// Refuses a laser whose sweep does not go along the floor.
+    pub fn check_level(&self, base: &str, laser: &str) -> Result<(), TiltedMount> {
+        if self.tilt > MOST_TILT {
+            return Err(TiltedMount { laser: frame_name(laser).into(), base: frame_name(base).into(), tilt: self.tilt });
+        }
+        Ok(())
+    }
 }
 
 /// A laser that does not look along the floor.
@@ -94,20 +106,21 @@ impl TransformTree {
         let forward = base_from_laser.rotation * Vector3::x();
         let up = base_from_laser.rotation * Vector3::z();
         let place = base_from_laser.translation.vector;
+        let heading = forward.y.atan2(forward.x);
+        let base_from_level =
+            Isometry3::from_parts(Translation3::new(place.x, place.y, 0.0), UnitQuaternion::from_euler_angles(0.0, 0.0, heading));
         Some(Mount {
-            base_from_laser: Pose2::new(place.x, place.y, forward.y.atan2(forward.x)),
+            base_from_laser: Pose2::new(place.x, place.y, heading),
             upside_down: up.z < 0.0,
             tilt: up.z.abs().min(1.0).acos(),
+            level_from_laser: base_from_level.inverse() * base_from_laser,
         })
     }
 
-    /// The place of a laser that looks along the floor. `place`, where it is given, says where, and the transforms which side is up.
-    pub fn laser_mount(&self, base: &str, laser: &str, place: Option<Pose2>) -> Result<Option<Mount>, TiltedMount> {
-        let Some(mount) = self.mount(base, laser) else { return Ok(None) };
-        if mount.tilt > MOST_TILT {
-            return Err(TiltedMount { laser: frame_name(laser).into(), base: frame_name(base).into(), tilt: mount.tilt });
-        }
-        Ok(Some(Mount { base_from_laser: place.unwrap_or(mount.base_from_laser), ..mount }))
+    /// The place of a laser. `place`, where it is given, says where, and the transforms which side is up, and how high it is.
+    pub fn laser_mount(&self, base: &str, laser: &str, place: Option<Pose2>) -> Option<Mount> {
+        let mount = self.mount(base, laser)?;
+        Some(Mount { base_from_laser: place.unwrap_or(mount.base_from_laser), ..mount })
     }
 
     fn root<'a>(&'a self, frame: &'a str) -> Option<(&'a str, Isometry3<f64>)> {

@@ -5,12 +5,14 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use super::sensed::Sensed;
 use super::{InputError, MountSource, planar_pose, planar_twist};
 use crate::anytime::clock::Clock;
 use crate::anytime::contract::{Contract, ContractError};
 use crate::anytime::cost_model::{CostModel, Phase};
 use crate::anytime::interrupt::{Interrupt, Never};
 use crate::anytime::{Driver, Task};
+use crate::cloud::{self, CloudError};
 use crate::config::Config;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::localization::filter::{Belief, ParticleFilter};
@@ -20,10 +22,11 @@ use crate::matching::StopReason;
 use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own;
-use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
+use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::{WheelOdometry, WheelSample};
-use crate::scan::{ScanConverter, ScanError};
+use crate::scan::{Scan, ScanConverter, ScanError};
 use crate::time::Stamp;
 use crate::transforms::{Mount, TiltedMount, TransformTree, frame_name};
 
@@ -54,12 +57,26 @@ pub enum NoEvidence {
     /// The message is malformed.
     #[error("malformed scan: {0}")]
     Malformed(#[from] ScanError),
+    /// The cloud is malformed, or holds nothing at the right height.
+    #[error("malformed scan: {0}")]
+    MalformedCloud(#[from] CloudError),
     /// The laser does not look along the floor.
     #[error(transparent)]
     Tilted(#[from] TiltedMount),
     /// The scan, or a later one, has been used before.
     #[error("the scan's stamp is not later than that of the one before: nothing is evidence twice")]
     NotNewer,
+}
+
+impl NoEvidence {
+    /// Its kind, for programs.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Malformed(_) | Self::MalformedCloud(_) => "malformed_scan",
+            Self::Tilted(_) => "tilted_mount",
+            Self::NotNewer => "not_newer",
+        }
+    }
 }
 
 /// What came of a scan.
@@ -173,7 +190,35 @@ impl Localizer {
     /// Takes a scan that arrived when the clock read `arrival`: moves the particles to its time, and corrects them by it.
     /// [`Self::conclude`] and [`Self::maintain`] are to follow. `interrupt`: somebody wants the answer now.
     pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration, interrupt: &dyn Interrupt) -> Fix {
-        let (stamp, taken_up) = (Stamp::from(message.header.stamp), self.clock.now());
+        self.answer(&message.header, arrival, interrupt, |localizer| {
+            localizer.mount.check_level(&localizer.config.frames.base_frame, &message.header.frame_id)?;
+            Ok(localizer.converter.convert(message, localizer.mount.upside_down)?)
+        })
+    }
+
+    /// Takes a point cloud as [`Self::on_scan`] does a scan.
+    pub fn on_cloud(&mut self, message: &PointCloud2, arrival: Duration, interrupt: &dyn Interrupt) -> Fix {
+        self.answer(&message.header, arrival, interrupt, |localizer| {
+            Ok(cloud::scan(message, &localizer.config.cloud, &localizer.mount.level_from_laser)?)
+        })
+    }
+
+    /// Takes whichever of the two it is.
+    pub fn on_sensed(&mut self, message: &Sensed, arrival: Duration, interrupt: &dyn Interrupt) -> Fix {
+        match message {
+            Sensed::Scan(scan) => self.on_scan(scan, arrival, interrupt),
+            Sensed::Cloud(cloud) => self.on_cloud(cloud, arrival, interrupt),
+        }
+    }
+
+    fn answer(
+        &mut self,
+        header: &Header,
+        arrival: Duration,
+        interrupt: &dyn Interrupt,
+        convert: impl FnOnce(&mut Self) -> Result<Scan, NoEvidence>,
+    ) -> Fix {
+        let (stamp, taken_up) = (Stamp::from(header.stamp), self.clock.now());
         let task = Task { contract: self.contract, arrival, taken_up };
         let mut fix = Fix {
             stamp,
@@ -184,7 +229,7 @@ impl Localizer {
             arrival,
             refined: None,
         };
-        fix.belief = self.observe(message).map(|observation| {
+        fix.belief = self.observe(header, convert).map(|observation| {
             let (belief, stop_reason, refined) = self.take_in(observation, task, interrupt);
             (fix.stop_reason, fix.refined) = (Some(stop_reason), refined);
             belief
@@ -194,14 +239,18 @@ impl Localizer {
     }
 
     /// What a scan shows, if it is new.
-    fn observe(&mut self, message: &LaserScan) -> Result<Observation, NoEvidence> {
-        let stamp = Stamp::from(message.header.stamp);
+    fn observe(
+        &mut self,
+        header: &Header,
+        convert: impl FnOnce(&mut Self) -> Result<Scan, NoEvidence>,
+    ) -> Result<Observation, NoEvidence> {
+        let stamp = Stamp::from(header.stamp);
         let since_last = self.last.map(|(last, _)| stamp.seconds_since(last));
         if since_last.is_some_and(|seconds| (-NEW_TIME..=0.0).contains(&seconds)) {
             return Err(NoEvidence::NotNewer);
         }
-        self.update_mount(&message.header.frame_id)?;
-        let scan = self.converter.convert(message, self.mount.upside_down);
+        self.update_mount(&header.frame_id);
+        let scan = convert(self);
         self.remarks.extend(self.converter.take_oddities().iter().map(ToString::to_string));
         let scan = scan?;
         self.last.take_if(|_| since_last.is_some_and(|seconds| seconds < 0.0));
@@ -368,15 +417,14 @@ impl Localizer {
         self.deadline_misses
     }
 
-    fn update_mount(&mut self, laser_frame: &str) -> Result<(), TiltedMount> {
+    fn update_mount(&mut self, laser_frame: &str) {
         let parameter = self.config.odometry.laser_in_base;
-        if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter)? {
+        if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter) {
             self.mount = mount;
             if parameter.is_none() {
                 self.mount_source = MountSource::Transforms;
             }
         }
-        Ok(())
     }
 
     /// What is odd in the messages so far and was not said before; each kind of it is said once.

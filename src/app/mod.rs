@@ -3,6 +3,7 @@
 mod heading;
 pub mod localizer;
 pub mod map_message;
+pub mod sensed;
 mod warm_up;
 
 use std::path::Path;
@@ -29,10 +30,12 @@ use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::WheelSample;
-use crate::odometry::{LaserOdometry, MatchedPoints, OdometryCounters, Registration};
+use crate::odometry::{Failure, FailureReason, LaserOdometry, MatchedPoints, OdometryCounters, Registration};
 use crate::scan::{Scan, ScanConverter};
 use crate::time::Stamp;
-use crate::transforms::{Mount, TiltedMount, TransformTree};
+use crate::transforms::{Mount, TransformTree};
+
+use sensed::Sensed;
 
 /// A quaternion whose length is farther from 1 than this is a mistake of its sender, not rounding.
 const QUATERNION_TOLERANCE: f64 = 0.1;
@@ -236,28 +239,38 @@ impl App {
     /// [`Self::conclude`] is to follow.
     pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration) -> Estimate {
         self.answer(&message.header, arrival, |app| {
-            app.converter.convert(message, app.mount.upside_down).map_err(|e| e.to_string())
+            let level = app.mount.check_level(&app.config.frames.base_frame, &message.header.frame_id);
+            level.map_err(|e| Failure::new(FailureReason::TiltedMount, e.to_string()))?;
+            app.converter.convert(message, app.mount.upside_down).map_err(|e| malformed(&e))
         })
     }
 
     /// Answers a point cloud as [`Self::on_scan`] does a scan.
     pub fn on_cloud(&mut self, message: &PointCloud2, arrival: Duration) -> Estimate {
         self.answer(&message.header, arrival, |app| {
-            cloud::scan(message, &app.config.cloud, app.mount.upside_down).map_err(|e| e.to_string())
+            cloud::scan(message, &app.config.cloud, &app.mount.level_from_laser).map_err(|e| malformed(&e))
         })
+    }
+
+    /// Answers whichever of the two it is.
+    pub fn on_sensed(&mut self, message: &Sensed, arrival: Duration) -> Estimate {
+        match message {
+            Sensed::Scan(scan) => self.on_scan(scan, arrival),
+            Sensed::Cloud(cloud) => self.on_cloud(cloud, arrival),
+        }
     }
 
     fn answer(
         &mut self,
         header: &Header,
         arrival: Duration,
-        convert: impl FnOnce(&mut Self) -> Result<Scan, String>,
+        convert: impl FnOnce(&mut Self) -> Result<Scan, Failure>,
     ) -> Estimate {
         let stamp = header.stamp.into();
         self.counters.scans += 1;
         let task = Task { contract: self.contract, arrival, taken_up: self.clock.now() };
-        let tilted = self.update_mount(&header.frame_id).map_err(|tilted| tilted.to_string());
-        let scan = tilted.and_then(|()| convert(self).map_err(|problem| format!("malformed scan: {problem}")));
+        self.update_mount(&header.frame_id);
+        let scan = convert(self);
         self.remarks.extend(self.converter.take_oddities().iter().map(ToString::to_string));
         let mut driver = Driver::new(task, &*self.clock, &*self.interrupt, &mut self.costs);
         let registration = match scan {
@@ -434,16 +447,15 @@ impl App {
     }
 
     /// Where the laser of this scan is on the base: every scan has its own place, which may move.
-    fn update_mount(&mut self, laser_frame: &str) -> Result<(), TiltedMount> {
+    fn update_mount(&mut self, laser_frame: &str) {
         let parameter = self.config.odometry.laser_in_base;
-        if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter)? {
+        if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter) {
             self.mount = mount;
             if parameter.is_none() {
                 self.mount_source = MountSource::Transforms;
             }
         }
         self.note_mount_jump(laser_frame);
-        Ok(())
     }
 
     fn note_mount_jump(&mut self, laser_frame: &str) {
@@ -462,6 +474,10 @@ impl App {
             ));
         }
     }
+}
+
+fn malformed(problem: &dyn std::fmt::Display) -> Failure {
+    Failure::new(FailureReason::MalformedScan, format!("malformed scan: {problem}"))
 }
 
 /// The pose in the plane that a message holds.

@@ -14,7 +14,7 @@ Finds the robot on a map by a particle filter and publishes where it is. A ROS 1
 
 Usage: particle_filter [TOPIC:=OTHER_TOPIC]... [_PARAMETER:=VALUE]... [__name:=NAME] [__ns:=NAMESPACE]
 
-Subscribes to:  scan, odom, map, initialpose, clicked_point, icp_contract, /tf, /tf_static
+Subscribes to:  scan or cloud, odom, map, initialpose, clicked_point, icp_contract, /tf, /tf_static
 Publishes:      pf/pose/odom, pf/report, pf/viz/particles, pf/viz/inferred_pose, pf/viz/fake_scan, /tf, /diagnostics,
                 and map, map_metadata where the map is from a file
 Services:       ~global_localization, static_map

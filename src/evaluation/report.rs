@@ -2,7 +2,6 @@
 
 use std::fmt;
 
-use comfy_table::{CellAlignment, Table, presets};
 use serde_json::{Value, json};
 
 use super::association::{AssociationError, associate};
@@ -11,6 +10,7 @@ use super::relations::{Relation, RelationErrors, SHORT_S, relation_errors};
 use super::rpe::rpe;
 use super::statistics::PoseErrors;
 use super::trajectory::Trajectory;
+use crate::text_table::TextTable;
 
 /// How a trajectory is compared.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -130,20 +130,23 @@ impl Report {
 /// The table for people, then the warnings.
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut table = Table::new();
-        table.load_style(presets::UTF8_FULL_CONDENSED);
-        table.set_header(["error", "unit", "n", "rmse", "mean", "std", "median", "max"]);
+        f.write_str(&self.to_text(None))
+    }
+}
+
+impl Report {
+    /// The text for a terminal of so many columns; `None`: as wide as it gets.
+    pub fn to_text(&self, width: Option<usize>) -> String {
+        let mut rows = Vec::new();
         for (name, errors) in self.rows() {
-            for (name, unit, s) in [(name.as_str(), "m", errors.trans_m), ("", "deg", errors.rot_deg)] {
+            for (unit, s) in [("m", errors.trans_m), ("deg", errors.rot_deg)] {
                 let figures = [s.rmse, s.mean, s.std, s.median, s.max].map(|figure| format!("{figure:.4}"));
-                let count = errors.count.to_string();
-                table.add_row([name, unit, &count].into_iter().chain(figures.iter().map(String::as_str)));
+                rows.push([name.clone(), unit.into(), errors.count.to_string()].into_iter().chain(figures).collect());
             }
         }
-        for column in table.column_iter_mut().skip(2) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-        write!(f, "{table}")?;
-        self.warnings.iter().try_for_each(|warning| write!(f, "\nwarning: {warning}"))
+        let header = ["error", "unit", "n", "rmse", "mean", "std", "median", "max"];
+        let table = TextTable::new(&header, rows.into_iter(), 2).render(width);
+        let warnings = self.warnings.iter().map(|warning| format!("\nwarning: {warning}"));
+        [table].into_iter().chain(warnings).collect()
     }
 }

@@ -30,7 +30,7 @@ use heading::HeadingReading;
 use local_map::{LocalMap, Placement, Unrecognised};
 use loop_closure::{LoopCloser, Recognition, Sighting};
 use motion_state::MotionState;
-pub use registration::{MatchedPoints, Outcome, RefinementReport, Registration};
+pub use registration::{Failure, FailureReason, MatchedPoints, Outcome, RefinementReport, Registration};
 use registration::{matched_points, report};
 use sources::MotionSources;
 use trust::Trust;
@@ -513,11 +513,12 @@ impl LaserOdometry {
         }
         let problem = if seconds == 0.0 {
             self.counters.duplicate_scans += 1;
-            "its stamp is that of the scan before: the same answer again".into()
+            Failure::new(FailureReason::DuplicateStamp, "its stamp is that of the scan before: the same answer again")
         } else {
             self.counters.out_of_order_scans += 1;
             self.clock_step.late = Some(stamp);
-            format!("its stamp is {:.3} s before that of the last scan: out of order", -seconds)
+            let text = format!("its stamp is {:.3} s before that of the last scan: out of order", -seconds);
+            Failure::new(FailureReason::OutOfOrder, text)
         };
         self.counters.predicted += 1;
         let answer = self.registration(Outcome::Predicted(problem), last.map_from_base, &last.covariance);
@@ -586,7 +587,7 @@ impl LaserOdometry {
         scan: &Scan,
         attempt: &Attempt,
         refinement: Option<RefinementReport>,
-        problem: String,
+        problem: Failure,
         becomes_keyframe: bool,
         is_lost: bool,
     ) -> Registration {
@@ -609,7 +610,7 @@ impl LaserOdometry {
     }
 
     /// An answer for a scan that could not be used at all, taken at `stamp`.
-    pub fn answer_unusable(&mut self, stamp: Stamp, problem: String) -> Registration {
+    pub fn answer_unusable(&mut self, stamp: Stamp, problem: Failure) -> Registration {
         self.maintain();
         self.matched_points = None;
         self.iterations.clear();
@@ -765,31 +766,37 @@ struct UpcomingKeyframe {
 struct Found {
     report: RefinementReport,
     keyframe_from_laser: Pose2,
-    /// The answer, or why there is none, in words.
-    answer: Result<Answer, String>,
+    /// The answer, or why there is none.
+    answer: Result<Answer, Failure>,
 }
 
 /// Why the pose reached is not to be believed, if so.
-fn problem(report: &RefinementReport, correction: &Pose2, knobs: &OdometryKnobs) -> Option<String> {
+fn problem(report: &RefinementReport, correction: &Pose2, knobs: &OdometryKnobs) -> Option<Failure> {
     let stop_reason = report.stop_reason;
     if stop_reason.is_failure() {
         return Some(match stop_reason {
-            StopReason::Singular => "the correspondences determine no pose".into(),
-            _ => format!("too few correspondences: the scan of {} rays does not fit the reference", report.rays),
+            StopReason::Singular => Failure::new(FailureReason::Singular, "the correspondences determine no pose"),
+            _ => Failure::new(
+                FailureReason::TooFewCorrespondences,
+                format!("too few correspondences: the scan of {} rays does not fit the reference", report.rays),
+            ),
         });
     }
     if report.iterations == 0 {
         return Some(match stop_reason {
-            StopReason::Interrupted => "the answer was called for before the first iteration".into(),
-            _ => "the time budget leaves no time for an iteration".into(),
+            StopReason::Interrupted => {
+                Failure::new(FailureReason::Interrupted, "the answer was called for before the first iteration")
+            }
+            _ => Failure::new(FailureReason::NoTime, "the time budget leaves no time for an iteration"),
         });
     }
     if correction.distance() > knobs.max_correction_distance || correction.theta.abs() > knobs.max_correction_angle {
-        return Some(format!(
+        let text = format!(
             "the match corrects the prediction by {:.2} m and {:.1} degrees: more than max_correction_distance or max_correction_angle",
             correction.distance(),
             correction.theta.abs().to_degrees()
-        ));
+        );
+        return Some(Failure::new(FailureReason::CorrectionTooLarge, text));
     }
     None
 }

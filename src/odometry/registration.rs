@@ -1,6 +1,7 @@
 //! What laser odometry answers.
 
 use std::f64::consts::{FRAC_PI_2, PI};
+use std::fmt;
 
 use crate::anytime::ErrorEstimate;
 use crate::geometry::{Point, Pose2, PoseCovariance, Twist2};
@@ -13,8 +14,54 @@ pub enum Outcome {
     Matched,
     /// First scan of a run: the pose is the one the run starts at.
     First,
-    /// There was no match to be had; the pose is the prediction. Why, in words.
-    Predicted(String),
+    /// There was no match to be had; the pose is the prediction.
+    Predicted(Failure),
+}
+
+crate::choices! {
+    /// Why a scan was not matched.
+    pub enum FailureReason {
+        /// It has the stamp of the scan before.
+        DuplicateStamp = "duplicate_stamp",
+        /// Its stamp is before that of the last scan.
+        OutOfOrder = "out_of_order",
+        /// The message is no usable scan.
+        MalformedScan = "malformed_scan",
+        /// The laser does not look along the floor.
+        TiltedMount = "tilted_mount",
+        /// It does not fit the reference.
+        TooFewCorrespondences = "too_few_correspondences",
+        /// The correspondences determine no pose.
+        Singular = "singular",
+        /// The answer was called for before the first iteration.
+        Interrupted = "interrupted",
+        /// The time budget left no time for an iteration.
+        NoTime = "no_time",
+        /// The match corrects the prediction by more than is believed.
+        CorrectionTooLarge = "correction_too_large",
+    }
+}
+
+/// Why a scan was not matched, for programs and in words.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Failure {
+    /// The kind.
+    pub reason: FailureReason,
+    /// In words, with figures.
+    pub text: String,
+}
+
+impl Failure {
+    /// A failure.
+    pub fn new(reason: FailureReason, text: impl Into<String>) -> Self {
+        Self { reason, text: text.into() }
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
 }
 
 impl Outcome {

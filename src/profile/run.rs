@@ -112,7 +112,7 @@ fn localize_run(
     let mut run = Run::default();
     localize::<ProfileError>(input.bag, input.topics, &mut localizer, &**clock, on_message, |answer, scan| {
         if run.scans.is_empty() {
-            run.beams = scan.ranges.len();
+            run.beams = scan.beams(&config.cloud);
         }
         run.scans.extend(localized(answer));
         Ok(())
@@ -161,7 +161,7 @@ fn match_run(
     let source = Source { bag: input.bag, topics: input.topics, schedule: &ContractSchedule::default() };
     replay::<ProfileError>(&source, &mut app, &**clock, on_message, |message, estimate, app| {
         if run.scans.is_empty() {
-            run.beams = message.ranges.len();
+            run.beams = message.beams(&config.cloud);
         }
         if run.scans.len().is_multiple_of(every) && !app.iterations().is_empty() {
             run.descents.push(app.iterations().iter().map(|iteration| iteration.mean_residual).collect());

@@ -11,7 +11,7 @@ pub struct CsvFile<W: Write> {
     writer: csv::Writer<W>,
 }
 
-const HEADER: [&str; 26] = [
+const HEADER: [&str; 27] = [
     "stamp",
     "x_m",
     "y_m",
@@ -37,6 +37,7 @@ const HEADER: [&str; 26] = [
     "elapsed_us",
     "overrun_us",
     "deadline_met",
+    "failure",
     "problem",
 ];
 
@@ -52,10 +53,10 @@ impl<W: Write> CsvFile<W> {
     pub fn write(&mut self, estimate: &Estimate) -> csv::Result<()> {
         let registration = &estimate.registration;
         let pose = registration.map_from_base();
-        let (outcome, problem) = match &registration.outcome {
-            Outcome::Matched => ("matched", ""),
-            Outcome::First => ("first", ""),
-            Outcome::Predicted(problem) => ("predicted", problem.as_str()),
+        let (outcome, failure, problem) = match &registration.outcome {
+            Outcome::Matched => ("matched", "", ""),
+            Outcome::First => ("first", "", ""),
+            Outcome::Predicted(failure) => ("predicted", failure.reason.name(), failure.text.as_str()),
         };
         let of_match = registration.refinement.map_or_else(
             || vec![String::new(); 9],
@@ -90,6 +91,7 @@ impl<W: Write> CsvFile<W> {
             format!("{:.3}", microseconds(estimate.elapsed)),
             format!("{:.3}", microseconds(estimate.overrun())),
             estimate.deadline_met().to_string(),
+            failure.into(),
             problem.into(),
         ]);
         self.writer.write_record(record)?;

@@ -1,6 +1,6 @@
 //! A bag through the particle filter, and what came of it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::time::Duration;
@@ -8,17 +8,17 @@ use std::time::Duration;
 use comfy_table::{Table, presets};
 use serde_json::{Value, json};
 
-use super::{ReplayLog, Topics, feed, microseconds};
+use super::{ReplayLog, Topics, feed, microseconds, sensed};
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
 use crate::app::localizer::{Fix, Localizer};
+use crate::app::sensed::Sensed;
 use crate::evaluation::association::MatchedPose;
 use crate::evaluation::statistics::{PoseErrors, percentile};
 use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::Pose2;
 use crate::io::bag::{Bag, BagError};
 use crate::matching::StopReason;
-use crate::messages::sensor_msgs::LaserScan;
 use crate::time::Stamp;
 
 /// What became of a scan.
@@ -43,14 +43,14 @@ pub fn localize<E: From<BagError>>(
     localizer: &mut Localizer,
     clock: &dyn Clock,
     on_message: impl FnMut(),
-    mut on_answer: impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
+    mut on_answer: impl FnMut(&Answer, &Sensed) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
     let mut timer = localizer.config().localization.timer(Duration::ZERO);
-    let mut held: Option<LaserScan> = None;
+    let mut held: Option<Sensed> = None;
     let mut start = None;
     let log = feed(bag, topics, localizer, on_message, |message, localizer, log| {
         let arrival = clock.now();
-        let scan = match message.decode::<LaserScan>() {
+        let scan = match sensed(message) {
             Ok(scan) => scan,
             Err(error) => {
                 log.note(&error);
@@ -72,11 +72,11 @@ pub fn localize<E: From<BagError>>(
 
 fn answer<E>(
     localizer: &mut Localizer,
-    scan: &LaserScan,
+    scan: &Sensed,
     arrival: Duration,
-    on_answer: &mut impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
+    on_answer: &mut impl FnMut(&Answer, &Sensed) -> Result<(), E>,
 ) -> Result<(), E> {
-    let mut fix = localizer.on_scan(scan, arrival, &Never);
+    let mut fix = localizer.on_sensed(scan, arrival, &Never);
     localizer.conclude(&mut fix);
     on_answer(&Answer::Fix(Box::new(fix)), scan)?;
     localizer.maintain(&Never);
@@ -85,15 +85,15 @@ fn answer<E>(
 
 fn pass_over<E>(
     localizer: &Localizer,
-    scan: &LaserScan,
-    on_answer: &mut impl FnMut(&Answer, &LaserScan) -> Result<(), E>,
+    scan: &Sensed,
+    on_answer: &mut impl FnMut(&Answer, &Sensed) -> Result<(), E>,
 ) -> Result<(), E> {
-    let stamp = scan.header.stamp.into();
+    let stamp = scan.stamp();
     let Some(map_from_base) = localizer.carried_to(stamp) else { return Ok(()) };
     on_answer(&Answer::Between { stamp, map_from_base }, scan)
 }
 
-const HEADER: [&str; 14] = [
+const HEADER: [&str; 15] = [
     "stamp",
     "x_m",
     "y_m",
@@ -101,6 +101,7 @@ const HEADER: [&str; 14] = [
     "sigma_x_m",
     "sigma_y_m",
     "sigma_theta_rad",
+    "localized",
     "share",
     "particles",
     "effective",
@@ -131,6 +132,7 @@ impl<W: Write> BeliefFile<W> {
         let mut record = vec![answer.stamp.to_string()];
         record.extend([pose.x, pose.y, pose.theta].map(|value| format!("{value:.9}")));
         record.extend([0, 1, 2].map(|i| format!("{:.6}", belief.covariance[(i, i)].max(0.0).sqrt())));
+        record.push(belief.is_localized().to_string());
         record.push(format!("{:.4}", belief.share));
         record.push(belief.particles.to_string());
         record.extend([format!("{:.1}", belief.effective), belief.beams.to_string(), format!("{:.5}", belief.fit)]);
@@ -160,7 +162,10 @@ pub struct LocalizationSummary {
     beams: usize,
     late: usize,
     worst_overrun: Duration,
-    useless: BTreeMap<String, usize>,
+    /// By kind: how many, and the first in words.
+    unused: BTreeMap<&'static str, (usize, String)>,
+    /// Those of the poses at which the robot knew where it was.
+    known: BTreeSet<Stamp>,
 }
 
 impl LocalizationSummary {
@@ -180,6 +185,7 @@ impl LocalizationSummary {
                 self.elapsed.push(answer.elapsed);
                 if belief.is_localized() {
                     self.localized += 1;
+                    self.known.insert(answer.stamp);
                     self.found.get_or_insert(answer.stamp);
                 }
                 self.particles += belief.particles;
@@ -190,8 +196,7 @@ impl LocalizationSummary {
                 Some(pose)
             }
             Err(problem) => {
-                let kind = problem.to_string();
-                *self.useless.entry(kind.split(':').next().unwrap_or_default().to_owned()).or_default() += 1;
+                self.unused.entry(problem.code()).or_insert_with(|| (0, problem.to_string())).0 += 1;
                 None
             }
         }
@@ -202,10 +207,15 @@ impl LocalizationSummary {
         &self.poses
     }
 
-    /// Why scans were of no use, and how many; empty if all were.
-    pub fn useless(&self) -> String {
-        let kinds: Vec<String> = self.useless.iter().map(|(kind, count)| format!("{count}: {kind}")).collect();
+    /// Why scans were not used, and how many; empty if all were.
+    pub fn unused(&self) -> String {
+        let kinds: Vec<String> = self.unused.values().map(|(count, first)| format!("{count}: {first}")).collect();
         kinds.join("; ")
+    }
+
+    /// Whether the robot knew where it was at this time.
+    pub fn is_localized_at(&self, stamp: Stamp) -> bool {
+        self.known.contains(&stamp)
     }
 
     /// Particles, how many of them are effective, and beams.
@@ -224,7 +234,7 @@ impl LocalizationSummary {
         self.found.zip(self.poses.first()).map(|(found, first)| found.seconds_since(first.stamp))
     }
 
-    /// One JSON object. `errors` are those against the truth, in the map: nothing is aligned.
+    /// One JSON object. `errors` are those against the truth while localized, in the map: nothing is aligned.
     pub fn to_json(&self, errors: Option<&PoseErrors>, problems: &[String]) -> Value {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         json!({
@@ -242,7 +252,7 @@ impl LocalizationSummary {
             "position_max_m": errors.map(|errors| errors.trans_m.max),
             "heading_rmse_deg": errors.map(|errors| errors.rot_deg.rmse),
             "heading_max_deg": errors.map(|errors| errors.rot_deg.max),
-            "useless_scans": self.useless,
+            "unused": self.unused.iter().map(|(code, (count, _))| (*code, *count)).collect::<BTreeMap<_, _>>(),
             "problems": problems,
         })
     }
@@ -256,20 +266,23 @@ impl LocalizationSummary {
         if self.between > 0 {
             table.add_row(["passed over", &format!("{}: the timer found newer ones", self.between)]);
         }
-        for (kind, count) in &self.useless {
-            table.add_row(["not used", &format!("{count}: {kind}")]);
+        for (code, (count, first)) in &self.unused {
+            table.add_row(["unused", &format!("{count}: {code}, the first: {first}")]);
         }
         let found = self.seconds_to_find().map_or("never".into(), |seconds| format!("after {seconds:.2} s"));
         table.add_row(["localized", &format!("{} scans, first {found}", self.localized)]);
         table.add_row(["particles", &format!("{particles:.0}, {effective:.0} of them effective; {beams:.0} beams")]);
-        table.add_row(["time per scan", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
+        table.add_row(["time", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
         if self.late > 0 {
             let worst = microseconds(self.worst_overrun);
-            table.add_row(["late", &format!("{} answers, the worst by {worst:.0} us", self.late)]);
+            table.add_row(["deadline misses", &format!("{}, worst overrun {worst:.0} us", self.late)]);
         }
         if let Some(PoseErrors { trans_m, rot_deg, .. }) = errors {
-            table.add_row(["position error", &format!("RMSE {:.4} m, max {:.4} m", trans_m.rmse, trans_m.max)]);
-            table.add_row(["heading error", &format!("RMSE {:.4} deg, max {:.4} deg", rot_deg.rmse, rot_deg.max)]);
+            table.add_row(["position error", &format!("while localized: RMSE {:.4} m, max {:.4} m", trans_m.rmse, trans_m.max)]);
+            table.add_row([
+                "heading error",
+                &format!("while localized: RMSE {:.4} deg, max {:.4} deg", rot_deg.rmse, rot_deg.max),
+            ]);
         }
         let mut text = format!("{table}\n");
         for problem in problems {

@@ -1,8 +1,8 @@
 //! Scan points along the way, as the background of a plot.
 
+use crate::app::sensed::Sensed;
 use crate::app::{App, Estimate};
 use crate::geometry::Point;
-use crate::messages::sensor_msgs::LaserScan;
 use crate::scan::ScanConverter;
 
 /// More points than this make a plot heavy, not better.
@@ -21,13 +21,13 @@ pub struct MapSketch {
 
 impl MapSketch {
     /// Takes a scan that has been answered.
-    pub fn add(&mut self, message: &LaserScan, estimate: &Estimate, app: &App) {
+    pub fn add(&mut self, message: &Sensed, estimate: &Estimate, app: &App) {
         if !estimate.registration.new_keyframe || !estimate.registration.outcome.is_ok() {
             return;
         }
         self.keyframes += 1;
         let mount = app.mount().0;
-        let Ok(scan) = self.converter.convert(message, mount.upside_down) else { return };
+        let Some(scan) = message.scan(&mut self.converter, &app.config().cloud, &mount) else { return };
         if !self.keyframes.is_multiple_of(self.every.max(1)) {
             return;
         }

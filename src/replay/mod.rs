@@ -12,11 +12,12 @@ use std::time::Duration;
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
 use crate::app::localizer::Localizer;
+use crate::app::sensed::Sensed;
 use crate::app::{App, Estimate, InputError};
 use crate::io::bag::{Bag, BagError, BagMessage};
 use crate::io::contract_schedule::ContractSchedule;
 use crate::messages::nav_msgs::Odometry;
-use crate::messages::sensor_msgs::{Imu, LaserScan};
+use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use crate::messages::tf2_msgs::TFMessage;
 use crate::messages::{Message, header_stamp};
 use crate::time::Stamp;
@@ -27,7 +28,7 @@ const TRANSFORM_TOPICS: [&str; 2] = ["/tf", "/tf_static"];
 /// The topics to replay.
 #[derive(Clone, Debug)]
 pub struct Topics {
-    /// Laser scans.
+    /// Laser scans, or point clouds: the topic's type tells.
     pub scan: String,
     /// Wheel odometry; `None`: do without.
     pub odometry: Option<String>,
@@ -38,7 +39,7 @@ pub struct Topics {
 impl Topics {
     /// The topics asked for, as far as the bag has them. Without an explicit wish, odometry is optional.
     pub fn resolve(bag: &Bag, scan: &str, odometry: Option<&str>) -> Result<Self, BagError> {
-        bag.expect_topic::<LaserScan>(scan)?;
+        expect_scans(bag, scan)?;
         Ok(Self { scan: scan.into(), odometry: optional::<Odometry>(bag, odometry, "/odom")?, imu: None })
     }
 
@@ -57,6 +58,31 @@ impl Topics {
     pub fn all(&self) -> Vec<&str> {
         let optional = self.odometry.as_deref().into_iter().chain(self.imu.as_deref());
         [self.scan.as_str()].into_iter().chain(optional).chain(TRANSFORM_TOPICS).collect()
+    }
+}
+
+/// Checks that there are scans on a topic, or clouds.
+fn expect_scans(bag: &Bag, topic: &str) -> Result<(), BagError> {
+    let clouds = bag.topics_of::<PointCloud2>();
+    if clouds.contains(&topic) {
+        return Ok(());
+    }
+    bag.expect_topic::<LaserScan>(topic).map_err(|mut error| {
+        if let (BagError::NoSuchTopic { alternatives, .. }, false) = (&mut error, clouds.is_empty()) {
+            alternatives.extend(["; ", PointCloud2::TYPE, " is on: ", &clouds.join(", ")]);
+        }
+        error
+    })
+}
+
+/// The scan or the cloud that a message is.
+fn sensed(message: &BagMessage) -> Result<Sensed, BagError> {
+    if message.connection.carries::<LaserScan>() {
+        message.decode().map(Sensed::Scan)
+    } else if message.connection.carries::<PointCloud2>() {
+        message.decode().map(Sensed::Cloud)
+    } else {
+        message.decode().map(Sensed::Scan) // an error that says what would be right
     }
 }
 
@@ -115,19 +141,19 @@ pub fn replay<E: From<BagError>>(
     app: &mut App,
     clock: &dyn Clock,
     on_message: impl FnMut(),
-    mut on_estimate: impl FnMut(&LaserScan, &Estimate, &App) -> Result<(), E>,
+    mut on_estimate: impl FnMut(&Sensed, &Estimate, &App) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
     let mut first_stamp = None;
     feed(source.bag, source.topics, app, on_message, |message, app, log| {
         let arrival = clock.now();
-        match message.decode::<LaserScan>() {
+        match sensed(message) {
             Ok(scan) => {
-                let stamp = Stamp::from(scan.header.stamp);
+                let stamp = scan.stamp();
                 let first_stamp = *first_stamp.get_or_insert(stamp);
                 if let Some(contract) = source.schedule.at(stamp.seconds_since(first_stamp)) {
                     app.set_contract(contract);
                 }
-                let mut estimate = app.on_scan(&scan, arrival);
+                let mut estimate = app.on_sensed(&scan, arrival);
                 app.conclude(&mut estimate);
                 on_estimate(&scan, &estimate, app)?;
                 app.maintain(&Never);

@@ -8,11 +8,11 @@ use thiserror::Error;
 use super::csv_file::CsvFile;
 use super::map_sketch::MapSketch;
 use super::summary::Summary;
+use crate::app::sensed::Sensed;
 use crate::app::{App, Estimate};
 use crate::geometry::Point;
 use crate::io::bag::BagError;
 use crate::io::tum::TumWriter;
-use crate::messages::sensor_msgs::LaserScan;
 use crate::output::OutputFile;
 
 /// Why a replay ended before its time.
@@ -61,7 +61,7 @@ impl Recorder {
     }
 
     /// Takes the answer to a scan.
-    pub fn add(&mut self, scan: &LaserScan, estimate: &Estimate, app: &App) -> Result<(), RecordError> {
+    pub fn add(&mut self, scan: &Sensed, estimate: &Estimate, app: &App) -> Result<(), RecordError> {
         let pose = self.summary.add(estimate);
         if let (Some(tum), Some(path)) = (&mut self.tum, &self.files.tum) {
             tum.write(&pose).map_err(|error| failed(path, error))?;

@@ -13,10 +13,7 @@ use crate::app::{Estimate, MountSource};
 use crate::evaluation::report::Report;
 use crate::evaluation::statistics::percentile;
 use crate::evaluation::trajectory::StampedPose;
-use crate::odometry::{OdometryCounters, Outcome};
-
-/// What the problem of a scan begins with that is none.
-const MALFORMED: &str = "malformed scan:";
+use crate::odometry::{FailureReason, OdometryCounters, Outcome};
 
 /// Collects the estimates of a replay.
 #[derive(Clone, Debug, Default)]
@@ -25,9 +22,8 @@ pub struct Summary {
     elapsed: Vec<Duration>,
     iterations: u64,
     matched: usize,
-    failures: BTreeMap<String, usize>,
-    /// Malformed scans, and what is wrong with the first.
-    malformed: Option<(usize, String)>,
+    /// By kind, in the order of their names: how many, and the first in words.
+    failures: BTreeMap<&'static str, (usize, String)>,
     /// Shortest and longest time budget.
     budgets: Option<(Duration, Duration)>,
     /// Answers that had a bound on their error, and those that kept it.
@@ -92,14 +88,8 @@ impl Summary {
         self.elapsed.push(estimate.elapsed);
         self.iterations += registration.refinement.map_or(0, |r| u64::from(r.iterations));
         self.matched += usize::from(registration.outcome.is_ok());
-        if let Outcome::Predicted(problem) = &registration.outcome {
-            // Figures differ from scan to scan; what stands before them is the kind of problem.
-            let kind =
-                problem.split([':', '.']).next().unwrap_or_default().trim_end_matches(|c: char| c.is_ascii_digit() || c == ' ');
-            *self.failures.entry(kind.to_owned()).or_default() += 1;
-            if let Some(reason) = problem.strip_prefix(MALFORMED) {
-                self.malformed.get_or_insert_with(|| (0, reason.trim().to_owned())).0 += 1;
-            }
+        if let Outcome::Predicted(failure) = &registration.outcome {
+            self.failures.entry(failure.reason.name()).or_insert_with(|| (0, failure.text.clone())).0 += 1;
         }
         if let Some(budget) = estimate.contract.time_budget {
             let (shortest, longest) = self.budgets.unwrap_or((budget, budget));
@@ -121,18 +111,22 @@ impl Summary {
 
     /// Why the answers are worth nothing, if they are: no scan was well-formed.
     pub fn hollow(&self) -> Option<String> {
-        self.malformed.as_ref().filter(|(count, _)| *count == self.poses.len()).and_then(|_| self.malformed_scans())
+        let (count, first) = self.failures.get(FailureReason::MalformedScan.name())?;
+        (*count == self.poses.len()).then(|| self.in_words(FailureReason::MalformedScan.name(), *count, first))
     }
 
-    /// How many scans are malformed, and how.
-    fn malformed_scans(&self) -> Option<String> {
-        let (count, first) = self.malformed.as_ref()?;
-        Some(format!("{count} of {} scans are malformed, the first: {first}", self.poses.len()))
+    fn in_words(&self, reason: &str, count: usize, first: &str) -> String {
+        let scans = self.poses.len();
+        match first.strip_prefix("malformed scan: ") {
+            Some(first) => format!("{count} of {scans} scans are malformed, the first: {first}"),
+            None => format!("{count} of {scans} scans failed ({reason}), the first: {first}"),
+        }
     }
 
     /// What the user should know, each with its remedy where there is one.
     fn problems(&self, ending: &Ending) -> Vec<String> {
-        self.malformed_scans().into_iter().chain(ending.problems()).collect()
+        let failures = self.failures.iter().map(|(reason, (count, first))| self.in_words(reason, *count, first));
+        failures.chain(ending.problems()).collect()
     }
 
     fn path_length(&self) -> f64 {
@@ -158,7 +152,7 @@ impl Summary {
             "scans": self.poses.len(),
             "matched": self.matched,
             "failed": self.poses.len() - self.matched,
-            "failures": self.failures,
+            "failures": self.failures.iter().map(|(reason, (count, _))| (*reason, *count)).collect::<BTreeMap<_, _>>(),
             "path_length_m": self.path_length(),
             "mean_iterations": self.mean_iterations(),
             "keyframes": ending.counters.keyframes,
@@ -181,22 +175,22 @@ impl Summary {
         })
     }
 
-    /// A table for people.
-    pub fn to_text(&self, ending: &Ending) -> String {
+    /// A table for people, on a terminal of so many columns; `None`: as wide as it gets.
+    pub fn to_text(&self, ending: &Ending, width: Option<usize>) -> String {
         let [p50, p99, max] = self.times();
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
         table.add_row(["scans", &self.poses.len().to_string()]);
         table.add_row(["matched", &self.matched.to_string()]);
         table.add_row(["failed", &(self.poses.len() - self.matched).to_string()]);
-        for (kind, count) in &self.failures {
-            table.add_row(["", &format!("{count}: {kind}")]);
+        for (reason, (count, _)) in &self.failures {
+            table.add_row(["", &format!("{count}: {reason}")]);
         }
-        table.add_row(["path", &format!("{:.2} m", self.path_length())]);
+        table.add_row(["path length", &format!("{:.2} m", self.path_length())]);
         table.add_row(["keyframes", &ending.counters.keyframes.to_string()]);
-        table.add_row(["places recognised", &ending.counters.closed_loops.to_string()]);
-        table.add_row(["iterations per scan", &format!("{:.1}", self.mean_iterations())]);
-        table.add_row(["time per scan", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
+        table.add_row(["closed loops", &ending.counters.closed_loops.to_string()]);
+        table.add_row(["mean iterations", &format!("{:.1}", self.mean_iterations())]);
+        table.add_row(["time", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
         if let Some((shortest, longest)) = self.budgets {
             let overrun = microseconds(self.worst_overrun);
             let share = 100.0 * self.misses as f64 / self.poses.len().max(1) as f64;
@@ -211,7 +205,7 @@ impl Summary {
         }
         let mut text = format!("{table}\n");
         if let Some(report) = &ending.report {
-            let _ = writeln!(text, "\n{report}");
+            let _ = writeln!(text, "\n{}", report.to_text(width));
         }
         for problem in self.problems(ending) {
             let kind = if ending.bag_problems.contains(&problem) { "warning: the bag is damaged" } else { "note" };

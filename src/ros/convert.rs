@@ -76,7 +76,7 @@ impl Answer<'_> {
         let (outcome, reason) = match &answer.outcome {
             Outcome::Matched => (MatchReport::MATCHED, String::new()),
             Outcome::First => (MatchReport::FIRST, String::new()),
-            Outcome::Predicted(problem) => (MatchReport::PREDICTED, problem.clone()),
+            Outcome::Predicted(problem) => (MatchReport::PREDICTED, problem.text.clone()),
         };
         MatchReport {
             header: self.odom_header(),

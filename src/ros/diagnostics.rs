@@ -48,7 +48,7 @@ pub(super) struct Sample {
 impl From<&Estimate> for Sample {
     fn from(estimate: &Estimate) -> Self {
         let problem = match &estimate.registration.outcome {
-            Outcome::Predicted(problem) => Some(problem.clone()),
+            Outcome::Predicted(problem) => Some(problem.text.clone()),
             Outcome::Matched | Outcome::First => None,
         };
         Self { elapsed: estimate.elapsed, overrun: estimate.overrun(), problem }

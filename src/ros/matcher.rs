@@ -18,31 +18,16 @@ use super::services::Reply;
 use super::subscriptions::Input;
 use super::transform_output::Rival;
 use crate::anytime::clock::Clock;
+use crate::app::sensed::Sensed;
 use crate::app::{App, Estimate, MountSource};
 use crate::config::FrameKnobs;
 use crate::messages::geometry_msgs::TwistStamped;
-use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::Outcome;
 use crate::time::Stamp;
 
 /// Transforms may come a little later than the first scans do.
 const PATIENCE_FOR_MOUNT: Duration = Duration::from_secs(2);
-
-/// What is matched.
-enum Sensed {
-    Scan(LaserScan),
-    Cloud(PointCloud2),
-}
-
-impl Sensed {
-    fn stamp(&self) -> Stamp {
-        match self {
-            Self::Scan(scan) => scan.header.stamp.into(),
-            Self::Cloud(cloud) => cloud.header.stamp.into(),
-        }
-    }
-}
 
 /// What the matching thread shares with the rest of the node.
 pub(super) struct Shared {
@@ -190,10 +175,7 @@ impl Matcher {
     fn answer(&mut self, sensed: &Sensed, arrival: Duration, urgency: &mut Urgency) {
         urgency.set(self.app.contract().time_budget.is_some());
         self.app.set_keep_matched_points(self.publishers.wants_matched_points());
-        let mut estimate = match sensed {
-            Sensed::Scan(scan) => self.app.on_scan(scan, arrival),
-            Sensed::Cloud(cloud) => self.app.on_cloud(cloud, arrival),
-        };
+        let mut estimate = self.app.on_sensed(sensed, arrival);
         let number = self.publish_pose(&mut estimate);
         urgency.set(false);
         let_writers_go_first();

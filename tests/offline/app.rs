@@ -60,7 +60,7 @@ fn assert_near(found: Pose2, expected: Pose2, tolerance: f64) {
 
 fn reason(estimate: &Estimate) -> &str {
     match &estimate.registration.outcome {
-        Outcome::Predicted(reason) => reason,
+        Outcome::Predicted(failure) => &failure.text,
         other => panic!("{other:?} is no prediction"),
     }
 }

@@ -86,7 +86,7 @@ fn no_time_at_all_gives_the_prediction_and_says_so() {
     let mut bench = Bench::new(&["contract.time_budget=20us"]);
     let answers = bench.answers();
     for (estimate, _) in &answers[1..] {
-        assert!(matches!(&estimate.registration.outcome, Outcome::Predicted(reason) if reason.contains("time budget")));
+        assert!(matches!(&estimate.registration.outcome, Outcome::Predicted(failure) if failure.text.contains("time budget")));
         assert_eq!(estimate.registration.refinement.unwrap().stop_reason, StopReason::Budget);
         assert!(!estimate.deadline_met() && estimate.overrun() > Duration::ZERO, "{:?}", estimate.elapsed);
     }
@@ -141,7 +141,7 @@ fn an_answer_can_be_called_for() {
     request.make();
     let (estimate, _) = bench.answer();
     assert_eq!(estimate.registration.refinement.unwrap().stop_reason, StopReason::Interrupted);
-    assert!(matches!(&estimate.registration.outcome, Outcome::Predicted(reason) if reason.contains("called for")));
+    assert!(matches!(&estimate.registration.outcome, Outcome::Predicted(failure) if failure.text.contains("called for")));
     request.clear();
     assert_eq!(bench.answer().0.registration.outcome, Outcome::Matched);
 }

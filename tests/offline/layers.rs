@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 /// From the bottom up. Modules of one layer do not know each other.
 const LAYERS: [&[&str]; 12] = [
-    &["time", "geometry", "quantile", "parallel", "output"],
+    &["time", "geometry", "quantile", "parallel", "output", "text_table"],
     &["knobs", "map"],
     &["messages", "raycasting"],
     &["scan", "transforms", "shared_memory"],

@@ -6,6 +6,7 @@
 mod app;
 mod bag;
 mod cases;
+mod clouds;
 #[path = "../common/mod.rs"]
 mod common;
 mod contract;
@@ -30,3 +31,4 @@ mod shell;
 mod shipped_map;
 mod simulation;
 mod solvers;
+mod terminal;

@@ -1,12 +1,13 @@
 //! `anytime convert`.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anytime_scan_matcher::io::bag::{BagWriter, Compression};
 use anytime_scan_matcher::io::carmen::{CarmenLog, Mended, Mount, record};
 use anytime_scan_matcher::knobs::KnobValue;
 use clap::Args;
+use serde_json::{Value, json};
 
 use crate::input_flags::Files;
 
@@ -25,6 +26,9 @@ pub(crate) struct Arguments {
     /// How the chunks of the bag are packed: none, bz2 or lz4
     #[arg(long, default_value = "lz4", value_parser = |text: &str| Compression::from_value(&text.into()))]
     compression: Compression,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
 }
 
 fn field_of_view(text: &str) -> Result<f64, String> {
@@ -33,11 +37,38 @@ fn field_of_view(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
-    let Arguments { log: path, out, fov, compression } = arguments;
-    Files::default().read("the log", Some(path)).written("the bag", Some(out)).check()?;
+    let Arguments { log: path, out, fov, compression, json } = arguments;
+    let files = Files::default().read("the log", Some(path)).written("the bag", Some(out));
+    files.check()?;
     let log = CarmenLog::read(path, *fov)?;
     record::record(&log, BagWriter::create_whole(out, *compression)?)?;
-    let mut text = format!("{}: {} scans", out.display(), log.scans.len());
+    let text = in_words(&log, path)?;
+    Ok(files.shown(*json, || summary(&log, path), || text))
+}
+
+fn summary(log: &CarmenLog, path: &Path) -> Value {
+    let mount = log.mount();
+    let damaged = log.damaged.first().map(|(line, problem)| format!("{}:{line}: {problem}", path.display()));
+    json!({
+        "scans": log.scans.len(),
+        "odometry": log.odometry.len(),
+        "mended_stamps": log.mended.count,
+        "most_mended_s": log.mended.most,
+        "mount": match mount {
+            Mount::Scans(_) => "scans",
+            Mount::Parameter(_) => "parameter",
+            Mount::Untold => "untold",
+            Mount::Unknown => "unknown",
+        },
+        "laser_in_base": [mount.laser_in_base().x, mount.laser_in_base().y, mount.laser_in_base().theta],
+        "damaged_lines": log.damaged.len(),
+        "first_damage": damaged,
+        "passed_over": log.passed_over,
+    })
+}
+
+fn in_words(log: &CarmenLog, path: &Path) -> anyhow::Result<String> {
+    let mut text = format!("{} scans", log.scans.len());
     if log.mended.count > 0 {
         let Mended { count, most } = log.mended;
         write!(text, "\n{count} stamps mended, by {most:.3} s at most: the lines are in order, the clock was not")?;

@@ -10,6 +10,7 @@ use clap::Args;
 
 use crate::input_flags::{Files, picture};
 use crate::outcome::shown;
+use crate::terminal;
 
 /// Compare a trajectory with the truth: ATE, RPE, relations
 #[derive(Args)]
@@ -49,12 +50,12 @@ fn positive(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { trajectory, reference, json, plot, rpe_distance, max_dt } = arguments;
-    Files::default()
+    let files = Files::default()
         .read("the trajectory", Some(trajectory))
         .read("--truth", reference.truth.as_deref())
         .read("--relations", reference.relations.as_deref())
-        .written("--plot", plot.as_deref())
-        .check()?;
+        .written("--plot", plot.as_deref());
+    files.check()?;
     let estimate = tum::read(trajectory)?;
     let truth = reference.truth.as_deref().map(tum::read).transpose()?;
     let relations = reference.relations.as_deref().map(relations::read).transpose()?;
@@ -68,5 +69,5 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         let path = reference.relations.as_deref().unwrap_or(trajectory).display();
         format!("no relation of {path} has a pose within {max_dt} s of its stamps: is it of another log, or the clock another?")
     });
-    shown(if *json { report.to_json().to_string() } else { report.to_string() }, problem)
+    shown(files.shown(*json, || report.to_json(), || report.to_text(terminal::width())), problem)
 }

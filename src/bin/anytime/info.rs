@@ -7,7 +7,7 @@ use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::io::bag::summary::BagSummary;
 use clap::Args;
 
-use crate::progress;
+use crate::{progress, terminal};
 
 /// Show what a bag holds: topics, rates, scan geometry, problems found
 #[derive(Args)]
@@ -25,7 +25,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let summary = BagSummary::read(&bag, || progress.inc(1))?;
     progress.finish_and_clear();
     if arguments.json {
-        return serde_json::to_string_pretty(&summary).context("cannot write the summary as JSON");
+        return serde_json::to_string(&summary).context("cannot write the summary as JSON");
     }
-    Ok(summary.to_string())
+    Ok(summary.to_text(terminal::width()))
 }

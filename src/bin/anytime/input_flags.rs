@@ -13,6 +13,7 @@ use anytime_scan_matcher::io::bag::{Bag, BagError};
 use anytime_scan_matcher::output::{Role, check_roles};
 use anytime_scan_matcher::replay::Topics;
 use clap::{Args, ValueEnum};
+use serde_json::Value;
 
 use crate::configuration::Configuration;
 
@@ -21,9 +22,9 @@ const VIRTUAL_TICK: Duration = Duration::from_micros(10);
 
 #[derive(Args)]
 pub(crate) struct InputFlags {
-    /// Topic of the laser scans
-    #[arg(long, default_value = "/scan")]
-    scan_topic: String,
+    /// Topic of the laser scans, or of point clouds: its type tells [default: /scan; with `cloud.input` /cloud]
+    #[arg(long)]
+    scan_topic: Option<String>,
     /// Topic of the wheel odometry [default: /odom, if the bag has it]
     #[arg(long)]
     odom_topic: Option<String>,
@@ -44,8 +45,9 @@ pub(crate) struct InputFlags {
 }
 
 impl InputFlags {
-    pub(crate) fn topics(&self, bag: &Bag) -> Result<Topics, BagError> {
-        let topics = Topics::resolve(bag, &self.scan_topic, self.odom_topic.as_deref())?;
+    pub(crate) fn topics(&self, bag: &Bag, config: &Config) -> Result<Topics, BagError> {
+        let usual = if config.cloud.input { "/cloud" } else { "/scan" };
+        let topics = Topics::resolve(bag, self.scan_topic.as_deref().unwrap_or(usual), self.odom_topic.as_deref())?;
         if self.scan_only { Ok(topics.scan_only()) } else { topics.with_imu(bag, self.imu_topic.as_deref()) }
     }
 }
@@ -75,7 +77,12 @@ impl<'a> Files<'a> {
             .read("--config", flags.configuration.file())
             .read("contract.profile", path(&config.contract.profile))
             .read("localization.map", path(&config.localization.map))
-            .written("contract.cost_file", path(&config.contract.cost_file))
+    }
+
+    /// What is printed of a run that has written its files: `value` as JSON, or `text`. Where the files are, standard error says.
+    pub(crate) fn shown(&self, as_json: bool, value: impl FnOnce() -> Value, text: impl FnOnce() -> String) -> String {
+        self.outputs.iter().for_each(|(_, path)| eprintln!("wrote {}", path.display()));
+        if as_json { value().to_string() } else { text() }
     }
 
     /// Refuses an output that is an input, or another output.

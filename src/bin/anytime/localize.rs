@@ -79,7 +79,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     arguments.input.clock.prepare(&mut config);
     let clock = arguments.input.clock.clock();
     let bag = Bag::open(&arguments.bag)?;
-    let topics = arguments.input.topics(&bag)?;
+    let topics = arguments.input.topics(&bag, &config)?;
     let truth = arguments.input.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
     let mut localizer = Localizer::new(map_file::read(&map)?, &config, Arc::clone(&clock))?;
     localizer.warm_up();
@@ -106,7 +106,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     })?;
     progress.finish_and_clear();
     if summary.poses().is_empty() {
-        let why = if summary.useless().is_empty() { log.reasons(&bag) } else { format!(": {}", summary.useless()) };
+        let why = if summary.unused().is_empty() { log.reasons(&bag) } else { format!(": {}", summary.unused()) };
         bail!("{}: no scan on {} could be used{why}", arguments.bag.display(), topics.scan);
     }
     if let Some(tum) = tum {
@@ -117,14 +117,18 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     }
     let trajectory = Trajectory::new(summary.poses().to_vec())?;
     let matched = truth.map(|truth| associate(&trajectory, &truth, Comparison::default().max_dt)).transpose()?;
-    let errors = matched.and_then(|matched| errors(&matched));
+    let errors = matched.and_then(|mut matched| {
+        matched.retain(|pose| summary.is_localized_at(pose.stamp));
+        errors(&matched)
+    });
     let mut problems: Vec<String> = bag.problems().iter().map(ToString::to_string).chain(log.problems).collect();
     problems.extend(reservations(&localizer));
-    Ok(if arguments.json {
-        summary.to_json(errors.as_ref(), &problems).to_string()
-    } else {
-        summary.to_text(errors.as_ref(), &problems)
-    })
+    let files = files(arguments, &config);
+    Ok(files.shown(
+        arguments.json,
+        || summary.to_json(errors.as_ref(), &problems),
+        || summary.to_text(errors.as_ref(), &problems),
+    ))
 }
 
 /// What the user should know, each with its remedy.
@@ -141,6 +145,7 @@ fn files<'a>(arguments: &'a Arguments, config: &'a Config) -> Files<'a> {
     Files::default()
         .of(&arguments.input, config)
         .read("the bag", Some(&arguments.bag))
+        .read("contract.cost_file", config.contract.cost_file.as_deref().map(Path::new))
         .read("--map", arguments.map.as_deref())
         .written("--tum", arguments.tum.as_deref())
         .written("--csv", arguments.csv.as_deref())

@@ -14,13 +14,16 @@ mod profile_flags;
 mod progress;
 mod replay;
 mod replay_flags;
+mod shell;
 mod simulate;
 mod simulation_flags;
+mod terminal;
 
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, Write};
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser, Subcommand};
 
 /// Match, simulate and evaluate laser scans from bags.
 #[derive(Parser)]
@@ -40,10 +43,21 @@ enum Command {
     Simulate(Box<simulate::Arguments>),
     Evaluate(evaluate::Arguments),
     Convert(convert::Arguments),
+    Completions(shell::Completions),
+    Man(shell::Man),
 }
 
 fn main() -> ExitCode {
-    let outcome = match Cli::parse().command {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(help) if help.kind() == ErrorKind::DisplayHelp => {
+            return print(&terminal::colours(&help.render()), terminal::width());
+        }
+        Err(error) => error.exit(),
+    };
+    let is_for_programs = matches!(cli.command, Command::Completions(_) | Command::Man(_));
+    let width = if is_for_programs { None } else { terminal::width() };
+    let outcome = match cli.command {
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Localize(arguments) => localize::run(&arguments),
         Command::Profile(arguments) => profile::run(&arguments),
@@ -51,11 +65,13 @@ fn main() -> ExitCode {
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
+        Command::Completions(arguments) => shell::completions(&arguments, Cli::command()),
+        Command::Man(arguments) => shell::man(&arguments, Cli::command()),
     };
     match outcome {
-        Ok(text) => print(&text),
+        Ok(text) => print(&text, width),
         Err(error) => {
-            let shown = error.downcast_ref::<outcome::Hollow>().map(|hollow| print(&hollow.text));
+            let shown = error.downcast_ref::<outcome::Hollow>().map(|hollow| print(&hollow.text, width));
             eprintln!("anytime: {error:#}");
             shown.filter(|code| *code != ExitCode::SUCCESS).unwrap_or_else(|| outcome::exit_code(&error))
         }
@@ -63,9 +79,9 @@ fn main() -> ExitCode {
 }
 
 /// A reader that has seen enough (`anytime info X.bag | head`) is no failure.
-fn print(text: &str) -> ExitCode {
-    match writeln!(io::stdout().lock(), "{}", text.trim_end()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+fn print(text: &str, width: Option<usize>) -> ExitCode {
+    match writeln!(io::stdout().lock(), "{}", terminal::wrap(text.trim_end(), width)) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
             eprintln!("anytime: cannot write the result: {error}");
             ExitCode::FAILURE
         }

@@ -1,7 +1,6 @@
 //! `anytime profile`.
 
 use std::env;
-use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -15,6 +14,7 @@ use anytime_scan_matcher::profile::plan::Plan;
 use anytime_scan_matcher::profile::run::Input;
 use anytime_scan_matcher::profile::study::{Names, Study};
 use anytime_scan_matcher::replay::truth;
+use serde_json::json;
 
 use crate::input_flags::Files;
 use crate::outcome::usage;
@@ -34,7 +34,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
     let path = bag_path(arguments)?;
     let bag = Bag::open(&path)?;
-    let topics = input.topics(&bag)?;
+    let topics = input.topics(&bag, &config)?;
     let truth_name = truth_name(arguments, &bag)?;
     let truth = truth::load(&truth_name, &bag)?;
     let new_clock = || input.clock.clock();
@@ -49,11 +49,25 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     progress.println(format!("{} cases in {} rounds: {} runs", plan.cases.len(), plan.rounds, plan.runs()));
     study.conduct(out, || progress.inc(1))?;
     progress.finish_and_clear();
-    let mut text = format!("{}: {} runs", out.join("report.html").display(), plan.runs());
-    for problem in bag.problems().iter() {
-        write!(text, "\nwarning: the bag is damaged: {problem}")?;
-    }
-    Ok(text)
+    let problems: Vec<String> = bag.problems().iter().map(ToString::to_string).collect();
+    let [report, profile, summary, runs] = ["report.html", "profile.yaml", "summary.csv", "runs.csv"].map(|name| out.join(name));
+    let files = Files::default()
+        .written("report", Some(&report))
+        .written("profile", Some(&profile))
+        .written("summary", Some(&summary))
+        .written("runs", Some(&runs));
+    let value = || json!({ "cases": plan.cases.len(), "rounds": plan.rounds, "runs": plan.runs(), "bag_problems": problems });
+    let damage = || problems.iter().flat_map(|problem| ["\nwarning: the bag is damaged: ", problem]).collect::<String>();
+    let cases = plan.cases.len();
+    Ok(files.shown(arguments.json, value, || {
+        format!(
+            "{cases} cases in {} rounds: {} runs{}\nwrote the pictures of {}",
+            plan.rounds,
+            plan.runs(),
+            damage(),
+            out.display()
+        )
+    }))
 }
 
 /// What a study writes besides pictures and the tables of scans.
@@ -64,6 +78,7 @@ fn check_files(arguments: &Arguments, config: &Config) -> anyhow::Result<()> {
     let simulated = if arguments.world.is_some() { 0 } else { 2 };
     let files = Files::default()
         .of(&arguments.input, config)
+        .read("contract.cost_file", config.contract.cost_file.as_deref().map(Path::new))
         .read("the bag", arguments.bag.as_deref())
         .read("--world", arguments.world.as_deref().map(Path::new))
         .read("--map", arguments.map.as_deref());

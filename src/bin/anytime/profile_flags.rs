@@ -44,6 +44,9 @@ pub(crate) struct Arguments {
     /// Seed of the order of the runs within the rounds, and of the simulated drive
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u32,
+    /// Print one JSON object
+    #[arg(long)]
+    pub(crate) json: bool,
     #[command(flatten)]
     pub(crate) input: InputFlags,
     #[command(flatten)]

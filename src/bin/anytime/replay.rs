@@ -1,5 +1,6 @@
 //! `anytime replay`.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use anytime_scan_matcher::app::App;
@@ -15,8 +16,8 @@ use anytime_scan_matcher::replay::{Source, replay, truth};
 
 use crate::input_flags::Files;
 use crate::outcome::shown;
-use crate::progress;
 use crate::replay_flags::Arguments;
+use crate::{progress, terminal};
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let mut config = arguments.input.configuration.load()?;
@@ -25,7 +26,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     }
     files(arguments, &config).check()?;
     let bag = Bag::open(&arguments.bag)?;
-    let topics = arguments.input.topics(&bag)?;
+    let topics = arguments.input.topics(&bag, &config)?;
     let truth = arguments.input.truth.as_deref().map(|name| truth::load(name, &bag)).transpose()?;
     let clock = arguments.input.clock.clock();
     let mut app = App::new(&config, Arc::clone(&clock))?;
@@ -56,7 +57,8 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         report,
         bag_problems: bag.problems().iter().map(ToString::to_string).collect(),
     };
-    let text = if arguments.json { summary.to_json(&ending).to_string() } else { summary.to_text(&ending) };
+    let files = self::files(arguments, &config);
+    let text = files.shown(arguments.json, || summary.to_json(&ending), || summary.to_text(&ending, terminal::width()));
     shown(text, summary.hollow().map(|problem| format!("{}: {problem}", arguments.bag.display())))
 }
 
@@ -65,6 +67,7 @@ fn files<'a>(arguments: &'a Arguments, config: &'a Config) -> Files<'a> {
         .of(&arguments.input, config)
         .read("the bag", Some(&arguments.bag))
         .read("--contract-schedule", arguments.contract_schedule.as_deref())
+        .written("contract.cost_file", config.contract.cost_file.as_deref().map(Path::new))
         .written("--tum", arguments.tum.as_deref())
         .written("--csv", arguments.csv.as_deref())
         .written("--plot", arguments.plot.as_deref())

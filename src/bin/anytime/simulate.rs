@@ -13,6 +13,7 @@ use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{DriveKnobs, Settings};
 use anytime_scan_matcher::simulation::scene::Scene;
 use clap::Args;
+use serde_json::json;
 
 use crate::input_flags::Files;
 use crate::knob_flags::help;
@@ -34,21 +35,22 @@ pub(crate) struct Arguments {
     /// How the chunks of the bag are packed: none, bz2 or lz4
     #[arg(long, default_value = "lz4", value_parser = |text: &str| Compression::from_value(&text.into()))]
     compression: Compression,
-    #[arg(long, default_value_t = DriveKnobs::default().seed, help = help::<DriveKnobs>("seed"))]
+    #[arg(long, default_value_t = DriveKnobs::default().seed, hide_default_value = true, help = help::<DriveKnobs>("seed"))]
     seed: u32,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     flags: SimulationFlags,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
-    let Arguments { world, out, truth, compression, seed, flags } = arguments;
-    Files::default()
-        .read("--world", Some(Path::new(world)))
-        .written("--out", Some(out))
-        .written("--truth", truth.as_deref())
-        .check()?;
+    let Arguments { world, out, truth, compression, seed, json, flags } = arguments;
+    let files =
+        Files::default().read("--world", Some(Path::new(world))).written("--out", Some(out)).written("--truth", truth.as_deref());
+    files.check()?;
     let scans = drive(world, &flags.settings(*seed)?, out, *compression, truth.as_deref())?;
-    Ok(format!("{}: {scans} scans", out.display()))
+    Ok(files.shown(*json, || json!({ "scans": scans }), || format!("{scans} scans")))
 }
 
 /// Writes a drive to a bag, and its truth to a TUM file; answers the number of scans.

@@ -119,24 +119,59 @@ struct Stop {
 }
 
 impl Chunk {
-    /// Reads, unpacks and parses the chunk. `Err` only when the file system refuses.
-    pub(super) fn read(&self, file: &mut File) -> io::Result<Content> {
-        if self.packed.max(self.size) > MAX_CHUNK_BYTES {
-            let what = format!("a chunk of {} bytes, unpacked {}: more than is read at once", self.packed, self.size);
-            return Ok(self.unusable(what, "`rosbag filter IN OUT True` writes usual chunks"));
+    /// Reads the chunk. `Err` only when the file system refuses.
+    pub(super) fn read(&self, file: &mut File) -> io::Result<PackedChunk> {
+        let &Self { offset, packed, size, compression, cut_off, .. } = self;
+        let mut bytes = Vec::new();
+        if !self.is_too_large() {
+            file.seek(SeekFrom::Start(self.data_offset))?;
+            file.take(packed).read_to_end(&mut bytes)?;
         }
-        let mut packed = Vec::new();
-        file.seek(SeekFrom::Start(self.data_offset))?;
-        file.take(self.packed).read_to_end(&mut packed)?;
+        Ok(PackedChunk { bytes, offset, packed, size, compression, cut_off, is_too_large: self.is_too_large() })
+    }
+
+    /// Bytes that it takes in memory while it is unpacked, at most.
+    pub(super) fn memory(&self) -> u64 {
+        match self {
+            _ if self.is_too_large() => 0,
+            Self { cut_off: true, .. } => MAX_CHUNK_BYTES,
+            Self { packed, size, .. } => packed + size,
+        }
+    }
+
+    fn is_too_large(&self) -> bool {
+        self.packed.max(self.size) > MAX_CHUNK_BYTES
+    }
+}
+
+/// A chunk as it is in the file, with what there is to know to unpack it anywhere.
+pub(super) struct PackedChunk {
+    bytes: Vec<u8>,
+    offset: u64,
+    packed: u64,
+    size: u64,
+    compression: Compression,
+    cut_off: bool,
+    /// Its bytes were not read.
+    is_too_large: bool,
+}
+
+impl PackedChunk {
+    /// Unpacks and parses the chunk; what is wrong with it, the content says.
+    pub(super) fn unpack(mut self) -> Content {
+        if self.is_too_large {
+            let what = format!("a chunk of {} bytes, unpacked {}: more than is read at once", self.packed, self.size);
+            return self.unusable(what, "`rosbag filter IN OUT True` writes usual chunks");
+        }
         // A chunk that the recorder did not finish says nothing of its size.
         let limit = if self.cut_off { MAX_CHUNK_BYTES } else { self.size };
-        let (bytes, unpacked) = self.compression.unpack(packed, limit);
+        let (bytes, unpacked) = self.compression.unpack(std::mem::take(&mut self.bytes), limit);
         match unpacked {
             // Without the checksum at the end none of the bytes before can be trusted.
             Err(error) if !self.cut_off => {
-                Ok(self.unusable(format!("a damaged {} chunk ({error})", self.compression.name()), COPY_AGAIN))
+                self.unusable(format!("a damaged {} chunk ({error})", self.compression.name()), COPY_AGAIN)
             }
-            _ => Ok(self.parse(bytes)),
+            _ => self.parse(bytes),
         }
     }
 

@@ -9,6 +9,7 @@ use crate::time::Stamp;
 use super::chunk::Entry;
 use super::connection::Connection;
 use super::error::BagError;
+use super::read_ahead::ReadAhead;
 use super::reader::Bag;
 
 /// Unpacked chunks kept at a time. Chunks overlap by a few messages as a rule; should all of a bag overlap, those not needed for
@@ -47,6 +48,8 @@ pub struct Messages<'bag> {
     wanted: BTreeMap<u32, &'bag Connection>,
     /// Chunks not begun, by the time of their first message, with that time.
     waiting: VecDeque<(Stamp, usize)>,
+    /// Unpacks these.
+    ahead: ReadAhead<'bag>,
     /// Chunks begun, by their place in the file.
     open: BTreeMap<usize, OpenChunk<'bag>>,
     /// Time of the next message of each open chunk.
@@ -72,7 +75,8 @@ impl<'bag> Messages<'bag> {
             .filter_map(|(i, chunk)| chunk.index.span.map(|(start, _)| (start, i)))
             .collect();
         waiting.sort_unstable();
-        Self { bag, wanted, waiting: waiting.into(), open: BTreeMap::new(), next: BinaryHeap::new(), held: 0 }
+        let ahead = ReadAhead::new(bag, waiting.iter().map(|(_, chunk)| *chunk).collect());
+        Self { bag, wanted, waiting: waiting.into(), ahead, open: BTreeMap::new(), next: BinaryHeap::new(), held: 0 }
     }
 
     /// Opens every chunk that may hold a message before the next one of the open chunks.
@@ -82,7 +86,8 @@ impl<'bag> Messages<'bag> {
                 break;
             }
             self.waiting.pop_front();
-            let content = self.bag.read_chunk(chunk)?;
+            let Some(content) = self.ahead.next() else { break };
+            let content = content?;
             let wanted = |entry: Entry| self.wanted.get(&entry.connection).map(|&connection| (connection, entry));
             let mut messages: Vec<_> = content.messages.into_iter().filter_map(wanted).collect();
             messages.sort_by_key(|(_, entry)| entry.time);

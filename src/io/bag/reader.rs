@@ -10,7 +10,7 @@ use crate::knobs::nearest_name;
 use crate::messages::Message;
 use crate::time::Stamp;
 
-use super::chunk::{Chunk, Content};
+use super::chunk::{Chunk, Content, PackedChunk};
 use super::compression::Compression;
 use super::connection::Connection;
 use super::error::{BagError, BagProblem, COPY_AGAIN};
@@ -108,11 +108,19 @@ impl Bag {
     }
 
     pub(super) fn read_chunk(&self, i: usize) -> Result<Content, BagError> {
-        let mut content = self.chunks[i].read(&mut self.file.borrow_mut()).map_err(BagError::io(&self.path, "read"))?;
+        Ok(self.note_problem(self.read_packed(i)?.unpack()))
+    }
+
+    pub(super) fn read_packed(&self, i: usize) -> Result<PackedChunk, BagError> {
+        self.chunks[i].read(&mut self.file.borrow_mut()).map_err(BagError::io(&self.path, "read"))
+    }
+
+    /// Takes note of what could not be read of a chunk.
+    pub(super) fn note_problem(&self, mut content: Content) -> Content {
         if let Some(problem) = content.problem.take() {
             self.add_problem(problem);
         }
-        Ok(content)
+        content
     }
 
     fn add_problem(&self, problem: BagProblem) {

@@ -9,6 +9,8 @@ use rosrust_msg::std_msgs::Header;
 
 use crate::anytime::ErrorEstimate;
 use crate::app::localizer::{Fix, Localizer};
+use crate::app::sensed::Sensed;
+use crate::cloud;
 use crate::config::Config;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::localization::filter::Belief;
@@ -93,9 +95,19 @@ pub(super) fn particles(localizer: &Localizer, stamp: Stamp) -> PoseArray {
     PoseArray { header: header(stamp, &localizer.config().frames.map_frame), poses }
 }
 
-/// What the laser of `scan` would have seen in the map.
+/// What the laser of `sensed` would have seen in the map; that of a cloud looks all round.
+pub(super) fn fake_scan(localizer: &Localizer, sensed: &Sensed, map_from_base: &Pose2) -> ScanMessage {
+    match sensed {
+        Sensed::Scan(scan) => expected_scan(localizer, scan, map_from_base),
+        Sensed::Cloud(cloud) => {
+            let knobs = &localizer.config().cloud;
+            expected_scan(localizer, &cloud::empty_scan(cloud, knobs), map_from_base)
+        }
+    }
+}
+
 #[allow(clippy::cast_possible_truncation)] // messages carry 32 bits
-pub(super) fn fake_scan(localizer: &Localizer, scan: &LaserScan, map_from_base: &Pose2) -> ScanMessage {
+fn expected_scan(localizer: &Localizer, scan: &LaserScan, map_from_base: &Pose2) -> ScanMessage {
     let (mount, _) = localizer.mount();
     let side = if mount.upside_down { -1.0 } else { 1.0 };
     let angle = |ray: usize| side * (f64::from(scan.angle_min) + ray as f64 * f64::from(scan.angle_increment));

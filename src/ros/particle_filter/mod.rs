@@ -67,11 +67,11 @@ fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input
     let publishers = Publishers::new(ros, &config.frames, map_server)?;
     let diagnostics = Diagnostics::new(ros, TASK)?;
     let mut roles = publishers.roles();
-    roles.extend(Input::ALL.map(|input| input.topic().role()));
+    roles.extend(Input::wanted(config).map(|input| input.topic().role()));
 
     let services = [services::reset(ros, GLOBAL, &mailbox)?].into_iter().chain(static_map).collect();
     let links = Links::new(ros, &clock, log)?;
-    Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, &mailbox, &request))?;
+    Input::wanted(config).try_for_each(|input| subscribe(&links, input, &mailbox, &request))?;
     let worker = Worker::new(
         config.clone(),
         publishers,
@@ -95,7 +95,8 @@ fn read_map_file(config: &Config, log: &Log) -> Option<OccupancyGrid> {
 /// Says that the node is ready, and what for.
 fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
     let contract = Contract::try_from(&config.contract)?;
-    let [scan, odometry, pose] = ["scan", "odom", publishers::POSE].map(|topic| resolved(ros, topic));
+    let [scan, odometry, pose] =
+        [if config.cloud.input { "cloud" } else { "scan" }, "odom", publishers::POSE].map(|topic| resolved(ros, topic));
     let (frames, knobs) = (&config.frames, &config.localization);
     let period = knobs.update_period.0;
     log.info(&format!(

@@ -9,9 +9,9 @@ use rosrust_msg::sensor_msgs::LaserScan as ScanMessage;
 use super::convert::{Placed, fake_scan, particles, report};
 use super::map_server::MapServer;
 use crate::app::localizer::{Fix, Localizer};
+use crate::app::sensed::Sensed;
 use crate::config::FrameKnobs;
 use crate::geometry::Pose2;
-use crate::messages::sensor_msgs::LaserScan;
 use crate::ros::NodeError;
 use crate::ros::master::Role;
 use crate::ros::publishers::Output;
@@ -81,8 +81,8 @@ impl Publishers {
     }
 
     /// What people look at.
-    pub(super) fn publish_display(&self, localizer: &Localizer, scan: &LaserScan, map_from_base: &Pose2) {
-        self.particles.send(|| particles(localizer, scan.header.stamp.into()));
+    pub(super) fn publish_display(&self, localizer: &Localizer, scan: &Sensed, map_from_base: &Pose2) {
+        self.particles.send(|| particles(localizer, scan.stamp()));
         self.fake_scan.send(|| fake_scan(localizer, scan, map_from_base));
     }
 }

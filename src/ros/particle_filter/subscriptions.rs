@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use crate::anytime::interrupt::Request;
+use crate::config::Config;
 use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};
 use crate::messages::nav_msgs::{OccupancyGrid, Odometry};
 use crate::messages::own::Contract;
-use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::std_msgs::Empty;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::ros::NodeError;
@@ -19,6 +20,7 @@ use crate::ros::numbering::Numbering;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::ros) enum Input {
     Scan,
+    Cloud,
     Odometry,
     Map,
     InitialPose,
@@ -30,8 +32,9 @@ pub(in crate::ros) enum Input {
 }
 
 impl Input {
-    pub(super) const ALL: [Self; 9] = [
+    const ALL: [Self; 10] = [
         Self::Scan,
+        Self::Cloud,
         Self::Odometry,
         Self::Map,
         Self::InitialPose,
@@ -42,6 +45,12 @@ impl Input {
         Self::StaticTransforms,
     ];
 
+    /// All that the node listens to: of scans and clouds those that are wanted.
+    pub(super) fn wanted(config: &Config) -> impl Iterator<Item = Self> {
+        let other = if config.cloud.input { Self::Scan } else { Self::Cloud };
+        Self::ALL.into_iter().filter(move |input| *input != other)
+    }
+
     /// Its name before remapping.
     pub(super) fn name(self) -> &'static str {
         self.topic().name
@@ -50,6 +59,7 @@ impl Input {
     pub(super) fn topic(self) -> Topic {
         match self {
             Self::Scan => Topic::vital::<LaserScan>("scan"),
+            Self::Cloud => Topic::vital::<PointCloud2>("cloud"),
             Self::Odometry => Topic::of::<Odometry>("odom"),
             Self::Map => Topic::of::<OccupancyGrid>("map"),
             Self::InitialPose => Topic::of::<PoseWithCovarianceStamped>("initialpose"),
@@ -72,7 +82,7 @@ pub(super) fn subscribe(
     let (mailbox, request) = (Arc::clone(mailbox), Arc::clone(request));
     let mut numbering = Numbering::default();
     let receive = move |letter: Letter| match input {
-        Input::Scan => {
+        Input::Scan | Input::Cloud => {
             mailbox.count_lost_scans(numbering.lost_before(&letter).into());
             mailbox.put_scan(letter);
         }

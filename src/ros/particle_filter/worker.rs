@@ -10,13 +10,13 @@ use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Request;
 use crate::anytime::timer::Timer;
 use crate::app::localizer::{Fix, Localizer};
+use crate::app::sensed::Sensed;
 use crate::app::{InputError, MountSource, map_message};
 use crate::config::Config;
 use crate::geometry::PoseCovariance;
 use crate::localization::filter::Belief;
 use crate::map::grid::OccupancyGrid;
 use crate::messages::own::Contract;
-use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::messages::{Message, nav_msgs};
 use crate::ros::diagnostics::{MOUNT_ASSUMED, Monitor, Sample, TRANSFORM_WITHHELD};
@@ -178,7 +178,7 @@ impl Worker {
     fn hear(&mut self, input: Input, letter: &Letter) {
         let sender = letter.sender.as_str();
         match input {
-            Input::Scan | Input::Map | Input::Interrupt => {} // have their own ways
+            Input::Scan | Input::Cloud | Input::Map | Input::Interrupt => {} // have their own ways
             Input::Odometry => self.tell(input, letter, |localizer, message| localizer.on_odometry(&message)),
             Input::InitialPose => self.tell(input, letter, |localizer, message| localizer.on_initial_pose(&message)),
             Input::ClickedPoint => self.tell(input, letter, |localizer, message| localizer.on_clicked_point(&message)),
@@ -239,8 +239,8 @@ impl Worker {
     }
 
     /// Holds a scan back while the localizer wants to see more odometry first.
-    fn await_odometry(&mut self, scan: &LaserScan, letter: &Letter) {
-        let wait = |worker: &Self| worker.localizer.as_ref()?.wait_for_odometry(scan.header.stamp.into());
+    fn await_odometry(&mut self, scan: &Sensed, letter: &Letter) {
+        let wait = |worker: &Self| worker.localizer.as_ref()?.wait_for_odometry(scan.stamp());
         while let Some(longest) = wait(self) {
             let left = (letter.arrival + longest).saturating_sub(self.clock.now());
             let Some(events) = self.mailbox.events_for_held_scan(left, &*self.request) else { return };
@@ -250,8 +250,16 @@ impl Worker {
         }
     }
 
+    fn read_sensed(&mut self, letter: &Letter) -> Option<Sensed> {
+        if self.config.cloud.input {
+            self.reader.read(Input::Cloud.name(), letter).map(Sensed::Cloud)
+        } else {
+            self.reader.read(Input::Scan.name(), letter).map(Sensed::Scan)
+        }
+    }
+
     fn answer(&mut self, letter: &Letter, urgency: &mut Urgency) {
-        let Some(scan) = self.reader.read::<LaserScan>(Input::Scan.name(), letter) else { return };
+        let Some(scan) = self.read_sensed(letter) else { return };
         if self.localizer.is_none() {
             return self.reader.warn("scan", NO_MAP);
         }
@@ -259,7 +267,7 @@ impl Worker {
         self.await_odometry(&scan, letter);
         let Some(localizer) = &mut self.localizer else { return };
         urgency.set(localizer.contract().time_budget.is_some());
-        let mut fix = localizer.on_scan(&scan, letter.arrival, &*self.request);
+        let mut fix = localizer.on_sensed(&scan, letter.arrival, &*self.request);
         if let Ok(belief) = &fix.belief {
             self.covariance = belief.covariance;
             let placed = Placed {

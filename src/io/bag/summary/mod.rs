@@ -1,5 +1,6 @@
 //! What a bag holds and what is wrong with it: `anytime info`.
 
+mod cloud;
 mod laser;
 mod odometry;
 mod table;
@@ -12,10 +13,11 @@ use serde::Serialize;
 
 use crate::messages::Message;
 use crate::messages::nav_msgs::Odometry;
-use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 
 use super::{Bag, BagError, BagMessage, Connection};
 
+pub use cloud::CloudSummary;
 pub use laser::LaserSummary;
 pub use odometry::OdometrySummary;
 pub use topic::TopicSummary;
@@ -39,6 +41,8 @@ pub struct BagSummary {
     pub topics: Vec<TopicSummary>,
     /// The topics with laser scans.
     pub lasers: Vec<LaserSummary>,
+    /// The topics with point clouds.
+    pub clouds: Vec<CloudSummary>,
     /// The topics with odometry.
     pub odometry: Vec<OdometrySummary>,
     /// What is wrong, in words.
@@ -67,11 +71,13 @@ impl BagSummary {
             summary.topics.push(topic);
             match report.content {
                 Content::Laser(laser) => summary.lasers.push(laser.summary()),
+                Content::Cloud(cloud) => summary.clouds.push(cloud),
                 Content::Odometry(odometry) => summary.odometry.push(odometry),
                 Content::Other => {}
             }
         }
         summary.problems.extend(summary.lasers.iter().flat_map(LaserSummary::problems));
+        summary.problems.extend(summary.clouds.iter().flat_map(CloudSummary::problems));
         summary.problems.extend(summary.odometry.iter().flat_map(OdometrySummary::problems));
         summary.problems.extend(summary.what_is_missing());
         Ok(summary)
@@ -88,6 +94,7 @@ impl BagSummary {
             chunks: bag.compressions().into_iter().map(|(compression, chunks)| (compression.name(), chunks)).collect(),
             topics: Vec::new(),
             lasers: Vec::new(),
+            clouds: Vec::new(),
             odometry: Vec::new(),
             problems: bag.problems().iter().map(ToString::to_string).collect(),
         }
@@ -97,8 +104,8 @@ impl BagSummary {
         let mut missing = Vec::new();
         if self.messages == 0 {
             missing.push("there are no messages".into());
-        } else if self.lasers.iter().all(|laser| laser.usable == 0) {
-            missing.push(format!("there are no usable scans ({}): nothing to match", LaserScan::TYPE));
+        } else if self.lasers.iter().all(|laser| laser.usable == 0) && self.clouds.iter().all(|cloud| cloud.usable == 0) {
+            missing.push(format!("there are no usable scans ({} or {}): nothing to match", LaserScan::TYPE, PointCloud2::TYPE));
         }
         if self.messages > 0 && self.odometry.is_empty() {
             missing.push(format!("there is no odometry ({}): matching starts from constant velocity", Odometry::TYPE));
@@ -115,6 +122,7 @@ struct TopicReport {
 
 enum Content {
     Laser(laser::Statistics),
+    Cloud(CloudSummary),
     Odometry(OdometrySummary),
     Other,
 }
@@ -124,6 +132,8 @@ impl TopicReport {
         let is = |name: &str, carries: bool| carries || connection.message_type == name;
         let content = if is(LaserScan::TYPE, connection.carries::<LaserScan>()) {
             Content::Laser(laser::Statistics::new(&connection.topic))
+        } else if is(PointCloud2::TYPE, connection.carries::<PointCloud2>()) {
+            Content::Cloud(CloudSummary::new(&connection.topic))
         } else if is(Odometry::TYPE, connection.carries::<Odometry>()) {
             Content::Odometry(OdometrySummary::new(&connection.topic))
         } else {
@@ -136,6 +146,7 @@ impl TopicReport {
         self.statistics.add(message);
         match &mut self.content {
             Content::Laser(laser) => laser.add(message),
+            Content::Cloud(cloud) => cloud.add(message),
             Content::Odometry(odometry) => odometry.add(message),
             Content::Other => {}
         }

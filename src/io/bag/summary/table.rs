@@ -4,12 +4,24 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::time::{Duration, UNIX_EPOCH};
 
-use comfy_table::{CellAlignment, Table, presets};
-
 use super::BagSummary;
+use crate::text_table::TextTable;
 
 impl fmt::Display for BagSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.write(f, None)
+    }
+}
+
+impl BagSummary {
+    /// The text for a terminal of so many columns; `None`: as wide as it gets.
+    pub fn to_text(&self, width: Option<usize>) -> String {
+        let mut text = String::new();
+        let _ = self.write(&mut text, width); // a string takes everything
+        text
+    }
+
+    fn write(&self, f: &mut impl fmt::Write, width: Option<usize>) -> fmt::Result {
         let chunks: Vec<String> = self.chunks.iter().map(|(kind, chunks)| format!("{chunks} chunks, {kind}")).collect();
         writeln!(f, "{}", self.path)?;
         writeln!(f, "{:.1} MB ({})", self.size_bytes as f64 * 1e-6, chunks.join("; "))?;
@@ -18,13 +30,16 @@ impl fmt::Display for BagSummary {
             writeln!(f, "{} messages in {:.3} s from {start}", self.messages, self.duration_s)?;
         }
         if !self.topics.is_empty() {
-            writeln!(f, "\n{}", self.topic_table())?;
+            writeln!(f, "\n{}", self.topic_table().render(width))?;
         }
         if !self.lasers.is_empty() {
-            writeln!(f, "\n{}", self.laser_table())?;
+            writeln!(f, "\n{}", self.laser_table().render(width))?;
+        }
+        if !self.clouds.is_empty() {
+            writeln!(f, "\n{}", self.cloud_table().render(width))?;
         }
         if !self.odometry.is_empty() {
-            writeln!(f, "\n{}", self.odometry_table())?;
+            writeln!(f, "\n{}", self.odometry_table().render(width))?;
         }
         match self.problems.as_slice() {
             [] => write!(f, "\nno problems found"),
@@ -34,10 +49,8 @@ impl fmt::Display for BagSummary {
             }
         }
     }
-}
 
-impl BagSummary {
-    fn topic_table(&self) -> Table {
+    fn topic_table(&self) -> TextTable {
         let header = ["topic", "type", "messages", "rate [Hz]", "longest interval [s]", "gaps", "stamps back", "repeated"];
         let rows = self.topics.iter().map(|topic| {
             vec![
@@ -51,10 +64,10 @@ impl BagSummary {
                 topic.stamps_repeated.to_string(),
             ]
         });
-        table(&header, rows, 2)
+        TextTable::new(&header, rows, 2)
     }
 
-    fn laser_table(&self) -> Table {
+    fn laser_table(&self) -> TextTable {
         let header = [
             "scans on",
             "frame",
@@ -81,26 +94,32 @@ impl BagSummary {
                 laser.unusable.to_string(),
             ]
         });
-        table(&header, rows, 2)
+        TextTable::new(&header, rows, 2)
     }
 
-    fn odometry_table(&self) -> Table {
+    fn cloud_table(&self) -> TextTable {
+        let header = ["clouds on", "frame", "points", "heights in it [m]", "usable", "unusable"];
+        let rows = self.clouds.iter().map(|cloud| {
+            let heights = cloud.lowest_m.zip(cloud.highest_m).map(|(low, high)| format!("{low:.2} to {high:.2}"));
+            vec![
+                cloud.topic.clone(),
+                listed(&cloud.frames),
+                format!("{} x {}", cloud.width, cloud.height),
+                heights.unwrap_or("-".into()),
+                cloud.usable.to_string(),
+                cloud.unusable.to_string(),
+            ]
+        });
+        TextTable::new(&header, rows, 2)
+    }
+
+    fn odometry_table(&self) -> TextTable {
         let rows = self
             .odometry
             .iter()
             .map(|odometry| vec![odometry.topic.clone(), listed(&odometry.frames), listed(&odometry.child_frames)]);
-        table(&["odometry on", "frame", "child frame"], rows, 3)
+        TextTable::new(&["odometry on", "frame", "child frame"], rows, 3)
     }
-}
-
-/// A table whose columns from `first_number` on are flush right.
-fn table(header: &[&str], rows: impl Iterator<Item = Vec<String>>, first_number: usize) -> Table {
-    let mut table = Table::new();
-    table.load_style(presets::UTF8_BORDERS_ONLY).set_header(header.to_vec()).add_rows(rows);
-    for column in table.column_iter_mut().skip(first_number) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
-    table
 }
 
 fn listed(names: &BTreeSet<String>) -> String {

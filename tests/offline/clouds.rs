@@ -1,0 +1,111 @@
+//! Point clouds in bags: floor and ceiling are no walls, for `replay`, `localize`, `profile` and `info` alike.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
+use anytime_scan_matcher::messages::geometry_msgs::TransformStamped;
+use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::sensor_msgs::{LaserScan, PointCloud2, PointField};
+use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use serde_json::Value;
+
+/// Scans of the demo that are made into clouds.
+const SCANS: usize = 120;
+/// Of the sensor above the base's origin, m.
+const HEIGHT: f32 = 0.4;
+
+fn shipped(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// What a sensor of several layers sees where a laser sees `scan`: walls at three heights, and floor and ceiling before them.
+fn cloud(scan: &LaserScan) -> PointCloud2 {
+    let mut data = Vec::new();
+    for (i, range) in scan.ranges.iter().enumerate() {
+        let (sin, cos) = (scan.angle_min + i as f32 * scan.angle_increment).sin_cos();
+        let wall = [0.2, 0.4, 1.9].map(|height: f32| (*range, height));
+        let inside = [(range.min(1.0), 0.01), (range.min(1.4), -0.02), (0.6 * range, 2.6)];
+        for (reach, height) in wall.into_iter().chain(inside).filter(|(reach, _)| reach.is_finite()) {
+            data.extend([reach * cos, reach * sin, height - HEIGHT].map(f32::to_le_bytes).into_iter().flatten());
+        }
+    }
+    let field = |name: &str, offset| PointField { name: name.into(), offset, datatype: PointField::FLOAT32, count: 1 };
+    PointCloud2 {
+        header: scan.header.clone(),
+        height: 1,
+        width: data.len() as u32 / 12,
+        fields: vec![field("x", 0), field("y", 4), field("z", 8)],
+        point_step: 12,
+        row_step: data.len() as u32,
+        data,
+        ..PointCloud2::default()
+    }
+}
+
+/// The beginning of the demo with clouds on `topic` in place of scans.
+fn write(path: &Path, topic: &str) {
+    let demo = Bag::open(shipped("bags/demo.bag")).unwrap();
+    let mut writer = BagWriter::create(path, Compression::Lz4).unwrap();
+    let mut scans = 0;
+    for message in demo.messages(Some(&["/scan", "/odom", "/tf_static"])).map(Result::unwrap) {
+        match message.connection.topic.as_str() {
+            "/scan" if scans < SCANS => {
+                scans += 1;
+                writer.write(topic, message.time, &cloud(&message.decode().unwrap())).unwrap();
+            }
+            "/odom" => writer.write("/odom", message.time, &message.decode::<Odometry>().unwrap()).unwrap(),
+            "/tf_static" => {
+                let mut mounts: TFMessage = message.decode().unwrap();
+                let raise = |mount: &mut TransformStamped| mount.transform.translation.z = HEIGHT.into();
+                mounts.transforms.iter_mut().for_each(raise);
+                writer.write_latched("/tf_static", message.time, &mounts).unwrap();
+            }
+            _ => {}
+        }
+    }
+    writer.finish().unwrap();
+}
+
+fn json(line: &[&str]) -> Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(line).output().unwrap();
+    assert!(output.status.success(), "{line:?}: {}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+#[test]
+fn replay_and_localize_take_clouds_and_leave_floor_and_ceiling_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.bag");
+    write(&path, "/cloud");
+    let (bag, truth, map) = (path.to_str().unwrap(), shipped("bags/demo.tum"), shipped("maps/corridor.yaml"));
+    let (truth, map) = (truth.to_str().unwrap(), map.to_str().unwrap());
+    let picture = dir.path().join("a.svg");
+    let replay =
+        json(&["replay", bag, "--scan-topic", "/cloud", "--truth", truth, "--json", "--plot", picture.to_str().unwrap()]);
+    assert!(replay["matched"] == SCANS && replay["ate_rmse_m"].as_f64().unwrap() < 0.005, "{replay}");
+    assert!(picture.exists());
+    let by_parameter = json(&["replay", bag, "--set", "cloud.input=true", "--truth", truth, "--json"]);
+    assert_eq!(by_parameter["ate_rmse_m"], replay["ate_rmse_m"], "the parameter takes the topic /cloud");
+    let limits = ["--set", "cloud.min_height=-100", "--set", "cloud.max_height=100"];
+    let floor = json(&[&["replay", bag, "--scan-topic", "/cloud", "--truth", truth, "--json"], &limits[..]].concat());
+    assert!(floor["ate_rmse_m"].as_f64().unwrap() > 0.005, "without limits floor and ceiling are matched: {floor}");
+    let localize = json(&["localize", bag, "--map", map, "--scan-topic", "/cloud", "--truth", truth, "--json"]);
+    assert!(localize["scans"] == SCANS && localize["position_rmse_m"].as_f64().unwrap() < 0.05, "{localize}");
+}
+
+#[test]
+fn info_shows_clouds_and_errors_name_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.bag");
+    write(&path, "/velodyne_points");
+    let path = path.to_str().unwrap();
+    let info = json(&["info", path, "--json"]);
+    let cloud = &info["clouds"][0];
+    assert!(cloud["topic"] == "/velodyne_points" && cloud["usable"] == SCANS && cloud["unusable"] == 0, "{cloud}");
+    assert!((cloud["lowest_m"].as_f64().unwrap() + 0.42).abs() < 1e-5, "{cloud}");
+    assert!(!info["problems"].to_string().contains("no usable scans"), "{info}");
+    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(["replay", path]).output().unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(error.contains("sensor_msgs/PointCloud2 is on: /velodyne_points"), "{error}");
+}
