@@ -1,12 +1,12 @@
 //! Estimates as ROS messages.
 
-use rosrust_msg::anytime_scan_matcher::MatchReport;
-use rosrust_msg::geometry_msgs::{
+use crate::ros::generated::anytime_scan_matcher::MatchReport;
+use crate::ros::generated::geometry_msgs::{
     Point as PointMessage, PoseStamped, PoseWithCovariance, TransformStamped, TwistWithCovariance, Vector3,
 };
-use rosrust_msg::nav_msgs::Odometry;
-use rosrust_msg::std_msgs::{ColorRGBA, Header};
-use rosrust_msg::visualization_msgs::Marker;
+use crate::ros::generated::nav_msgs::Odometry;
+use crate::ros::generated::std_msgs::{ColorRGBA, Header};
+use crate::ros::generated::visualization_msgs::Marker;
 
 use super::fields::{covariance, header, pose, transform, twist};
 use crate::app::Estimate;
@@ -109,6 +109,7 @@ impl Answer<'_> {
             rotation_error: answer.estimated_error.rotation,
             condition_number: number(|r| r.condition_number),
             free_direction: number(|r| r.free_direction.unwrap_or(f64::NAN)),
+            disbelieved: answer.disbelieved.names().collect::<Vec<_>>().join(" "),
             new_keyframe: answer.new_keyframe,
             keyframes: u32::try_from(counters.keyframes).unwrap_or(u32::MAX),
             closed_loops: u32::try_from(counters.closed_loops).unwrap_or(u32::MAX),

@@ -1,8 +1,8 @@
 //! What many messages have in common, made of values of the plane.
 
+use crate::ros::generated::geometry_msgs::{Point, Pose, Quaternion, Transform, TransformStamped, Twist, Vector3};
+use crate::ros::generated::std_msgs::Header;
 use nalgebra::Matrix3;
-use rosrust_msg::geometry_msgs::{Point, Pose, Quaternion, Transform, TransformStamped, Twist, Vector3};
-use rosrust_msg::std_msgs::Header;
 
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::time::Stamp;

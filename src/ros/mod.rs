@@ -16,6 +16,9 @@ mod convert;
 mod diagnostics;
 mod feed;
 mod fields;
+#[doc(hidden)]
+#[allow(missing_docs, clippy::all, clippy::pedantic, clippy::restriction, unreachable_pub, rustdoc::all)]
+pub mod generated;
 mod inlet;
 mod interrupts;
 mod links;
@@ -25,6 +28,7 @@ mod mailbox;
 mod master;
 mod matcher;
 mod node;
+mod node_api;
 mod numbering;
 mod outlet;
 mod params;

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use rosrust_msg::geometry_msgs::PoseStamped;
+use crate::ros::generated::geometry_msgs::PoseStamped;
 
 use crate::geometry::Pose2;
 

@@ -5,9 +5,9 @@ use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use crate::ros::generated::nav_msgs::{GetMap, GetMapRes};
+use crate::ros::generated::std_srvs::{Trigger, TriggerRes};
 use rosrust::api::Ros;
-use rosrust_msg::nav_msgs::{GetMap, GetMapRes};
-use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
 use super::mailbox::{Event, Mailbox};

@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use crate::ros::generated::geometry_msgs::TransformStamped;
+use crate::ros::generated::tf2_msgs::TFMessage;
 use rosrust::api::Ros;
-use rosrust_msg::geometry_msgs::TransformStamped;
-use rosrust_msg::tf2_msgs::TFMessage;
 
 use super::NodeError;
 use super::master::Role;
@@ -28,9 +28,9 @@ impl<'a> Rival<'a> {
         Some(Self { sender, parent: frame_name(&transform.header.frame_id), child })
     }
 
-    /// Whether it is given in this frame.
-    pub(super) fn is_from(&self, frame: &str) -> bool {
-        self.parent == frame_name(frame)
+    /// One that leads from `parent` to `child`, in one step or several.
+    pub(super) fn new(sender: &'a str, parent: &'a str, child: &'a str) -> Self {
+        Self { sender, parent: frame_name(parent), child: frame_name(child) }
     }
 }
 

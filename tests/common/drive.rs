@@ -18,12 +18,12 @@ use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::messages::std_msgs::Header;
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::ros::generated::anytime_scan_matcher::MatchReport;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::Settings;
 use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
 use rosrust::RosMsg;
-use rosrust_msg::anytime_scan_matcher::MatchReport;
 use speedy::{Readable, Writable};
 
 use super::{Laser, room_range};

@@ -8,10 +8,10 @@ use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::messages::geometry_msgs::{PoseStamped, PoseWithCovarianceStamped};
 use anytime_scan_matcher::messages::sensor_msgs::{PointCloud2, PointField};
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::ros::generated::geometry_msgs::{Pose2D, PoseWithCovariance};
 use anytime_scan_matcher::scan::ScanConverter;
 use anytime_scan_matcher::time::Stamp;
 use rosrust::RosMsg as _;
-use rosrust_msg::geometry_msgs::{Pose2D, PoseWithCovariance};
 
 use crate::common::Laser;
 use crate::common::drive::{at, base_pose, header, odometry, room_from_odom};

@@ -7,13 +7,13 @@ use std::time::Duration;
 use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::messages;
 use anytime_scan_matcher::messages::own::Contract;
+use anytime_scan_matcher::ros::generated::anytime_scan_matcher::MatchReport;
+use anytime_scan_matcher::ros::generated::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus};
 use anytime_scan_matcher::shared_memory::{Client, CompletedEstimate};
 use anytime_scan_matcher::time::Stamp;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use rosrust::RosMsg as _;
-use rosrust_msg::anytime_scan_matcher::MatchReport;
-use rosrust_msg::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus};
 
 use crate::common::drive::{self, MOUNT, Recording, TOPICS, at, header};
 use crate::common::graph::{Graph, PACKAGE, PATIENCE, Process, eventually};

@@ -18,12 +18,12 @@ use anytime_scan_matcher::messages::own::FilterReport;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::messages::std_msgs::Header;
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::ros::generated::geometry_msgs::PoseArray;
+use anytime_scan_matcher::ros::generated::nav_msgs::GetMap;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
 use rosrust::{Message as _, RosMsg as _};
-use rosrust_msg::geometry_msgs::PoseArray;
-use rosrust_msg::nav_msgs::GetMap;
 
 use crate::common::corridor;
 use crate::common::graph::{Graph, PATIENCE, Process, eventually};

@@ -4,11 +4,11 @@ use std::process::Command;
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
+use anytime_scan_matcher::ros::generated::anytime_scan_matcher::MatchReport;
+use anytime_scan_matcher::ros::generated::geometry_msgs::PoseStamped;
+use anytime_scan_matcher::ros::generated::sensor_msgs::LaserScan;
+use anytime_scan_matcher::ros::generated::std_msgs::Empty;
 use rosrust::api::Ros;
-use rosrust_msg::anytime_scan_matcher::MatchReport;
-use rosrust_msg::geometry_msgs::PoseStamped;
-use rosrust_msg::sensor_msgs::LaserScan;
-use rosrust_msg::std_msgs::Empty;
 
 use crate::common::graph::{Graph, PATIENCE, Process};
 

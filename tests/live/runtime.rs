@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use rosrust_msg::anytime_scan_matcher::MatchReport;
+use anytime_scan_matcher::ros::generated::anytime_scan_matcher::MatchReport;
 
 use crate::common::drive::{self, MOUNT, Recording, TOPICS};
 use crate::common::graph::{Graph, eventually};

@@ -327,7 +327,7 @@ fn poses_that_are_no_poses_are_refused() {
     assert!(matches!(app.on_odometry(&zero), Err(InputError::QuaternionNotNormalized { .. })));
     let mut initial = PoseWithCovarianceStamped::default();
     initial.pose.pose.orientation.w = f64::INFINITY;
-    assert_eq!(app.on_initial_pose(&initial), Err(InputError::PoseNotFinite));
+    assert_eq!(app.on_initial_pose(&initial, Duration::ZERO), Err(InputError::PoseNotFinite));
     let transform = TransformStamped { child_frame_id: "laser".into(), ..TransformStamped::default() };
     assert_eq!(app.on_transforms(&TFMessage { transforms: vec![transform] }), Err(InputError::BadTransforms { count: 1 }));
     assert_eq!(app.counters().refused_messages, 4);
@@ -350,7 +350,7 @@ fn an_initial_pose_and_a_reset_start_again() {
     }
     let mut initial = PoseWithCovarianceStamped::default();
     initial.pose.pose = Pose2::new(5.0, 6.0, 1.0).into();
-    app.on_initial_pose(&initial).unwrap();
+    app.on_initial_pose(&initial, Duration::ZERO).unwrap();
     let estimate = answer(&mut app, &scan_at(0.6, way(0.6)));
     assert_eq!(estimate.registration.outcome, Outcome::First);
     assert_near(estimate.registration.odom_from_base, Pose2::new(5.0, 6.0, 1.0), 1e-9);

@@ -1,7 +1,7 @@
 //! The topics that `laser_scan_matcher` gives its poses on.
 
+use crate::ros::generated::geometry_msgs::{Pose2D, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped};
 use rosrust::api::Ros;
-use rosrust_msg::geometry_msgs::{Pose2D, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped};
 
 use super::parameters::PoseTopics;
 use crate::ros::NodeError;

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
+use crate::ros::generated::anytime_scan_matcher::Contract as ContractMessage;
 use rosrust::api::{Master, Ros};
-use rosrust_msg::anytime_scan_matcher::Contract as ContractMessage;
 
 use super::ContractDemoKnobs;
 use super::adherence::Adherence;
@@ -194,7 +194,7 @@ fn subscribe(links: &Links, input: Input, sender: Sender<(Input, Letter)>) -> Re
 fn contract_message(contract: &Contract, header: &Header) -> ContractMessage {
     let stamp = rosrust::Time { sec: header.stamp.sec, nsec: header.stamp.nsec };
     ContractMessage {
-        header: rosrust_msg::std_msgs::Header { seq: header.seq, stamp, frame_id: String::new() },
+        header: crate::ros::generated::std_msgs::Header { seq: header.seq, stamp, frame_id: String::new() },
         time_budget: contract.time_budget.unwrap_or_default().into(),
         translation_error_bound: contract.translation_error_bound.unwrap_or_default(),
         rotation_error_bound: contract.rotation_error_bound.unwrap_or_default(),

@@ -1,11 +1,11 @@
 //! Beliefs as ROS messages.
 
+use crate::ros::generated::anytime_scan_matcher::FilterReport;
+use crate::ros::generated::geometry_msgs::{PoseArray, PoseStamped, PoseWithCovariance, TransformStamped, TwistWithCovariance};
+use crate::ros::generated::nav_msgs::Odometry;
+use crate::ros::generated::sensor_msgs::LaserScan as ScanMessage;
+use crate::ros::generated::std_msgs::Header;
 use nalgebra::Matrix3;
-use rosrust_msg::anytime_scan_matcher::FilterReport;
-use rosrust_msg::geometry_msgs::{PoseArray, PoseStamped, PoseWithCovariance, TransformStamped, TwistWithCovariance};
-use rosrust_msg::nav_msgs::Odometry;
-use rosrust_msg::sensor_msgs::LaserScan as ScanMessage;
-use rosrust_msg::std_msgs::Header;
 
 use crate::anytime::ErrorEstimate;
 use crate::app::localizer::{Fix, Localizer};

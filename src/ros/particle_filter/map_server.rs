@@ -1,8 +1,8 @@
 //! The map of a file, for others who want to see it: as `map_server` publishes and serves it.
 
+use crate::ros::generated::nav_msgs::GetMapRes;
 use rosrust::RosMsg as _;
 use rosrust::api::Ros;
-use rosrust_msg::nav_msgs::GetMapRes;
 
 use crate::app::map_message;
 use crate::config::Config;
@@ -57,7 +57,7 @@ fn other_publisher(ros: &Ros) -> Result<Option<String>, NodeError> {
 fn response(message: &nav_msgs::OccupancyGrid) -> Result<GetMapRes, NodeError> {
     let failed = |problem: String| NodeError::ros("serve the map", &problem);
     let bytes = encode(message).map_err(|error| failed(error.to_string()))?;
-    rosrust_msg::nav_msgs::OccupancyGrid::decode(&bytes[..])
+    crate::ros::generated::nav_msgs::OccupancyGrid::decode(&bytes[..])
         .map(|map| GetMapRes { map })
         .map_err(|error| failed(error.to_string()))
 }

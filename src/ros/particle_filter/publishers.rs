@@ -1,10 +1,10 @@
 //! What the node says.
 
+use crate::ros::generated::anytime_scan_matcher::FilterReport;
+use crate::ros::generated::geometry_msgs::{PoseArray, PoseStamped};
+use crate::ros::generated::nav_msgs::Odometry;
+use crate::ros::generated::sensor_msgs::LaserScan as ScanMessage;
 use rosrust::api::Ros;
-use rosrust_msg::anytime_scan_matcher::FilterReport;
-use rosrust_msg::geometry_msgs::{PoseArray, PoseStamped};
-use rosrust_msg::nav_msgs::Odometry;
-use rosrust_msg::sensor_msgs::LaserScan as ScanMessage;
 
 use super::convert::{Placed, fake_scan, particles, report};
 use super::map_server::MapServer;

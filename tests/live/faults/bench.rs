@@ -83,7 +83,11 @@ impl Bench {
     pub fn check_step(&mut self) {
         let (pose, report) = self.step();
         let error = pose.between(&self.truth());
-        assert!(report.outcome == rosrust_msg::anytime_scan_matcher::MatchReport::MATCHED, "{report:?}: {}", self.node.log());
+        assert!(
+            report.outcome == anytime_scan_matcher::ros::generated::anytime_scan_matcher::MatchReport::MATCHED,
+            "{report:?}: {}",
+            self.node.log()
+        );
         assert!(error.distance() < 0.05 && error.theta.abs() < 0.05, "{error:?}");
     }
 

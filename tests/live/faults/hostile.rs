@@ -8,10 +8,10 @@ use anytime_scan_matcher::messages::own::Contract;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::messages::{Message, Time, decode, encode};
+use anytime_scan_matcher::ros::generated::diagnostic_msgs::DiagnosticArray;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use rosrust::RosMsg as _;
-use rosrust_msg::diagnostic_msgs::DiagnosticArray;
 
 use super::bench::{Bench, send};
 use crate::common::drive::{self, EndlessScan, at, header};

@@ -1,0 +1,30 @@
+//! rosrust's types of the messages that leave by it, made by its code generator from the definitions in `msg/` (see `build.rs`).
+
+rosrust::rosmsg_include!(
+    ackermann_msgs / AckermannDriveStamped,
+    anytime_scan_matcher / Contract,
+    anytime_scan_matcher / FilterReport,
+    anytime_scan_matcher / MatchReport,
+    diagnostic_msgs / DiagnosticArray,
+    geometry_msgs / PointStamped,
+    geometry_msgs / Pose2D,
+    geometry_msgs / PoseArray,
+    geometry_msgs / PoseStamped,
+    geometry_msgs / PoseWithCovarianceStamped,
+    geometry_msgs / TransformStamped,
+    geometry_msgs / TwistStamped,
+    nav_msgs / GetMap,
+    nav_msgs / MapMetaData,
+    nav_msgs / OccupancyGrid,
+    nav_msgs / Odometry,
+    nav_msgs / Path,
+    rosgraph_msgs / Log,
+    sensor_msgs / Imu,
+    sensor_msgs / LaserScan,
+    sensor_msgs / PointCloud2,
+    std_msgs / Empty,
+    std_msgs / Int32,
+    std_srvs / Trigger,
+    tf2_msgs / TFMessage,
+    visualization_msgs / Marker
+);
