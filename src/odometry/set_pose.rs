@@ -26,11 +26,25 @@ pub(super) struct SetPose {
     held_at: Stamp,
     /// The part of the rays that usually agree with the reference.
     usual_agreement: f64,
+    /// The last scan agreed less.
+    disagreed: bool,
 }
 
 impl SetPose {
     fn is_on_probation(&self, stamp: Stamp) -> bool {
         (0.0..=PROBATION).contains(&stamp.seconds_since(self.held_at))
+    }
+
+    /// Whether fewer rays agree than usual. Where that is so twice in a row, though the first time the reference was replaced, so few
+    /// agree in this place.
+    fn is_unlike_usual(&mut self, agreement: Option<f64>) -> bool {
+        let Some(agreement) = agreement else { return false };
+        let disagrees = agreement < self.usual_agreement - DISAGREEING;
+        if disagrees && self.disagreed {
+            self.usual_agreement = agreement;
+        }
+        self.disagreed = disagrees && !self.disagreed;
+        self.disagreed
     }
 }
 
@@ -40,7 +54,7 @@ impl LaserOdometry {
     pub fn set_pose(&mut self, map_from_base: Pose2, held_at: Stamp) {
         let usual_agreement = self.usual_agreement;
         self.restart_at(map_from_base);
-        self.set_pose = Some(SetPose { map_from_base, held_at, usual_agreement });
+        self.set_pose = Some(SetPose { map_from_base, held_at, usual_agreement, disagreed: false });
     }
 
     /// The answer for the first scan after a pose was set, if this is one.
@@ -53,15 +67,11 @@ impl LaserOdometry {
     }
 
     /// Whether a match shows that the reference is not of the place that was set.
-    pub(super) fn is_reference_refuted(&self, attempt: &Attempt, found: &Found, stamp: Stamp) -> bool {
-        let Some(set) = self.set_pose.filter(|set| set.is_on_probation(stamp)) else { return false };
-        let disagrees = found.agreement.is_some_and(|agreement| agreement < set.usual_agreement - DISAGREEING);
-        let jumps = || {
-            let Last { twist, seen_twist, .. } = attempt.last;
-            let (seen, seconds) = seen_twist_of(attempt, found, stamp);
-            !is_steady(&twist, &seen, seconds) && !is_steady(&seen_twist, &seen, seconds)
-        };
-        disagrees || found.answer.is_err() || jumps()
+    pub(super) fn is_reference_refuted(&mut self, attempt: &Attempt, found: &Found, stamp: Stamp) -> bool {
+        let Some(set) = self.set_pose.as_mut().filter(|set| set.is_on_probation(stamp)) else { return false };
+        let (seen, seconds) = seen_twist_of(attempt, found, stamp);
+        let jumps = [attempt.last.twist, attempt.last.seen_twist].iter().all(|twist| !is_steady(twist, &seen, seconds));
+        set.is_unlike_usual(found.agreement) || found.answer.is_err() || jumps
     }
 
     /// The scan that refutes the reference takes its place.
@@ -99,4 +109,20 @@ fn seen_twist_of(attempt: &Attempt, found: &Found, stamp: Stamp) -> (Twist2, f64
     let seconds = stamp.seconds_since(attempt.last.stamp);
     let motion = found.answer.as_ref().map(|answer| attempt.last.map_from_base.between(&answer.map_from_base));
     (motion.map_or(attempt.last.seen_twist, |motion| Twist2::of_motion(&motion, seconds)), seconds)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_scan_that_disagrees_is_of_another_place_and_two_are_usual_here() {
+        let pose = Pose2::IDENTITY;
+        let mut set = SetPose { map_from_base: pose, held_at: Stamp::default(), usual_agreement: 0.95, disagreed: false };
+        let mut answers =
+            |agreements: &[f64]| agreements.iter().map(|share| set.is_unlike_usual(Some(*share))).collect::<Vec<_>>();
+        assert_eq!(answers(&[0.9, 0.5, 0.94, 0.6]), [false, true, false, true]);
+        assert_eq!(answers(&[0.6, 0.62, 0.3]), [false, false, true]);
+        assert!(!set.is_unlike_usual(None));
+    }
 }

@@ -193,8 +193,8 @@ impl NodeApi {
 
     /// Hands a call on to the master, as if the node's interface had made it.
     fn call_master(&self, method: &str, mut arguments: Params) -> Response {
-        if method.starts_with("register")
-            && let Some(address) = last_address(&arguments)
+        if ["register", "subscribeParam"].iter().any(|start| method.starts_with(start))
+            && let Some(address) = address(&arguments)
         {
             let _ = self.rosrust.set(address); // it does not change
         }
@@ -267,13 +267,13 @@ fn serve(server: Server, host: &str) -> Result<SocketAddr, NodeError> {
     Ok(address)
 }
 
-/// The caller's address among the arguments of a registration: the last one.
-fn last_address(arguments: &[Value]) -> Option<String> {
-    match arguments.last()? {
+/// The caller's address among the arguments of a registration: the only one that is a page's.
+fn address(arguments: &[Value]) -> Option<String> {
+    arguments.iter().find_map(|argument| match argument {
         Value::String(address) if address.starts_with("http://") => Some(address.clone()),
-        Value::Array(inner) => last_address(inner),
+        Value::Array(inner) => address(inner),
         _ => None,
-    }
+    })
 }
 
 fn replace(argument: &mut Value, old: &str, new: &str) {
@@ -297,9 +297,10 @@ mod tests {
     fn registrations_name_the_interface_in_the_place_of_rosrust() {
         let text = |text: &str| Value::String(text.into());
         let mut arguments = vec![Value::Array(vec![text("/node"), text("/scan"), text("type"), text("http://here:1/")])];
-        assert_eq!(last_address(&arguments).as_deref(), Some("http://here:1/"));
+        assert_eq!(address(&arguments).as_deref(), Some("http://here:1/"));
         arguments.iter_mut().for_each(|argument| replace(argument, "http://here:1/", "http://here:2/"));
-        assert_eq!(last_address(&arguments).as_deref(), Some("http://here:2/"));
-        assert_eq!(last_address(&[text("/node"), text("rosrpc://here:3")]), None);
+        assert_eq!(address(&arguments).as_deref(), Some("http://here:2/"));
+        assert_eq!(address(&[text("/node"), text("http://here:4/"), text("/use_sim_time")]).as_deref(), Some("http://here:4/"));
+        assert_eq!(address(&[text("/node"), text("rosrpc://here:3")]), None);
     }
 }

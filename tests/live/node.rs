@@ -371,9 +371,9 @@ fn publishers_that_come_are_heard_at_once() {
     let _link = laser.link();
     std::thread::sleep(4 * SECOND); // by now it looks around by itself once a second only
     let mut waits: Vec<Duration> = (0..5)
-        .map(|_| {
+        .map(|number| {
             let start = Instant::now();
-            let speaker = Publisher::new::<PoseWithCovarianceStamped>(&graph, "/speaker", "/initialpose");
+            let speaker = Publisher::new::<PoseWithCovarianceStamped>(&graph, &format!("/speaker_{number}"), "/initialpose");
             let _link = speaker.link();
             let wait = start.elapsed();
             speaker.unregister(&graph);
