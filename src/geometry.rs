@@ -165,6 +165,7 @@ impl Twist2 {
     }
 
     /// This part of the way from here to another twist; 0: this one, 1: the other.
+    #[must_use]
     pub fn towards(&self, other: &Self, part: f64) -> Self {
         let mixed = |from: f64, to: f64| from + part * (to - from);
         Self { vx: mixed(self.vx, other.vx), vy: mixed(self.vy, other.vy), omega: mixed(self.omega, other.omega) }

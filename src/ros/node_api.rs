@@ -199,7 +199,7 @@ impl NodeApi {
             let _ = self.rosrust.set(address); // it does not change
         }
         if let Some(rosrust) = self.rosrust.get() {
-            arguments.iter_mut().for_each(|argument| replace(argument, rosrust, &self.uri));
+            replace(&mut arguments, rosrust, &self.uri);
         }
         call(&self.master, method, arguments)
     }
@@ -227,10 +227,10 @@ fn interface() -> Server {
     for method in NODE_CALLS {
         server.register_value(method, move |arguments| with_node(|node| node.call_rosrust(method, arguments)));
     }
-    server.register_value("getMasterUri", |_| with_node(|node| answer(Value::String(node.master.to_string()))));
-    server.register_value("getBusInfo", |_| with_node(|node| answer(node.bus_info())));
-    server.register_value("getBusStats", |_| with_node(|node| answer(node.bus_stats())));
-    server.register_value("getSubscriptions", |_| with_node(|node| answer(node.subscriptions())));
+    server.register_value("getMasterUri", |_| with_node(|node| Ok(answer(Value::String(node.master.to_string())))));
+    server.register_value("getBusInfo", |_| with_node(|node| Ok(answer(node.bus_info()))));
+    server.register_value("getBusStats", |_| with_node(|node| Ok(answer(node.bus_stats()))));
+    server.register_value("getSubscriptions", |_| with_node(|node| Ok(answer(node.subscriptions()))));
     server.register_value("publisherUpdate", |arguments| {
         with_node(|node| {
             if let Some(inputs) = node.inputs() {
@@ -247,8 +247,8 @@ fn with_node(act: impl FnOnce(&NodeApi) -> Response) -> Response {
 }
 
 /// A call that went well: code, message, value.
-fn answer(value: Value) -> Response {
-    Ok(vec![Value::Array(vec![Value::Int(1), Value::String(String::new()), value])])
+fn answer(value: Value) -> Params {
+    vec![Value::Array(vec![Value::Int(1), Value::String(String::new()), value])]
 }
 
 fn call(url: &Url, method: &str, arguments: Params) -> Response {
@@ -276,11 +276,13 @@ fn address(arguments: &[Value]) -> Option<String> {
     })
 }
 
-fn replace(argument: &mut Value, old: &str, new: &str) {
-    match argument {
-        Value::String(text) if text == old => new.clone_into(text),
-        Value::Array(inner) => inner.iter_mut().for_each(|argument| replace(argument, old, new)),
-        _ => {}
+fn replace(arguments: &mut [Value], old: &str, new: &str) {
+    for argument in arguments {
+        match argument {
+            Value::String(text) if text == old => new.clone_into(text),
+            Value::Array(inner) => replace(inner, old, new),
+            _ => {}
+        }
     }
 }
 
@@ -298,7 +300,7 @@ mod tests {
         let text = |text: &str| Value::String(text.into());
         let mut arguments = vec![Value::Array(vec![text("/node"), text("/scan"), text("type"), text("http://here:1/")])];
         assert_eq!(address(&arguments).as_deref(), Some("http://here:1/"));
-        arguments.iter_mut().for_each(|argument| replace(argument, "http://here:1/", "http://here:2/"));
+        replace(&mut arguments, "http://here:1/", "http://here:2/");
         assert_eq!(address(&arguments).as_deref(), Some("http://here:2/"));
         assert_eq!(address(&[text("/node"), text("http://here:4/"), text("/use_sim_time")]).as_deref(), Some("http://here:4/"));
         assert_eq!(address(&[text("/node"), text("rosrpc://here:3")]), None);

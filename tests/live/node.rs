@@ -302,7 +302,7 @@ fn initial_pose_reset_and_a_second_parent_of_the_base() {
     assert_eq!(node.log().matches("held back").count(), 1);
 }
 
-/// As TurtleBot3 has it: odom -> base_footprint -> base_link.
+/// As `TurtleBot3` has it.
 #[test]
 fn odometry_that_reaches_the_base_over_several_transforms_has_its_frame_to_itself() {
     let Some(graph) = Graph::start() else { return };

@@ -209,7 +209,7 @@ fn poses_that_are_set_while_scans_are_on_their_way_are_right() {
             .filter_map(|teleport| {
                 let settled = drive.found.range(teleport.offset_by(0.2)..teleport.offset_by(0.38));
                 let (found, truth) =
-                    settled.filter_map(|(stamp, pose)| Some((pose, interpolated(&drive.truth, *stamp)?))).last()?;
+                    settled.filter_map(|(stamp, pose)| Some((pose, interpolated(&drive.truth, *stamp)?))).next_back()?;
                 Some(truth.between(found).distance())
             })
             .collect();

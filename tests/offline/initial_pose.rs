@@ -52,7 +52,7 @@ impl Try {
         for _ in 0..50 {
             car.step(driver.command(&car.map_from_base(), car.twist().vx), 0.02); // gets going
         }
-        let told = if self.seed % 4 == 0 {
+        let told = if self.seed.is_multiple_of(4) {
             car.map_from_base() * Pose2::new(random.random_range(-0.4..0.4), random.random_range(-0.3..0.3), 0.3)
         } else {
             place(random.random_range(0..scene.route.points().len()))
@@ -119,11 +119,14 @@ fn the_pose_is_right_whoever_hears_of_it_first() {
         let mut worst = (0.0_f64, 0.0_f64);
         for seed in 0..TRIES {
             let mut random = Pcg64::seed_from_u64(1000 + seed);
-            let with_odometry = seed % 2 == 0;
+            let with_odometry = seed.is_multiple_of(2);
             let is_stamped = random.random();
             // Simulators take up to some periods of their loop to move the car; who subscribes late hears late.
-            let lead =
-                if seed % 3 == 0 { -random.random_range(0.0..0.01) } else { random.random_range(0.0..0.05_f64).min(15.0 / rate) };
+            let lead = if seed.is_multiple_of(3) {
+                -random.random_range(0.0..0.01)
+            } else {
+                random.random_range(0.0..0.05_f64).min(15.0 / rate)
+            };
             let error = Try { rate, with_odometry, is_stamped, lead, seed }.error(&scene);
             worst = (worst.0.max(error.distance()), worst.1.max(error.theta.abs().to_degrees()));
             // The car drives at 2 m/s, and between two scans nobody knows when it was moved.

@@ -26,9 +26,8 @@ fn transform(parent: &str, child: &str, place: Pose2) -> TFMessage {
 
 /// The camera's odometry begins where the camera is; the base turns, and the camera goes round.
 fn odometry(seconds: f64, odom_from_base: Pose2, child: &str) -> Odometry {
-    let mut message = Odometry::default();
-    message.header = Header { stamp: Stamp::from_seconds(seconds).into(), frame_id: "camera_odom".into(), ..Header::default() };
-    message.child_frame_id = child.into();
+    let header = Header { stamp: Stamp::from_seconds(seconds).into(), frame_id: "camera_odom".into(), ..Header::default() };
+    let mut message = Odometry { header, child_frame_id: child.into(), ..Odometry::default() };
     message.pose.pose = (BASE_FROM_CAMERA.inverse() * odom_from_base * BASE_FROM_CAMERA).into();
     message
 }
