@@ -359,6 +359,24 @@ fn an_initial_pose_and_a_reset_start_again() {
     assert_eq!(estimate.registration.odom_from_base, Pose2::IDENTITY);
 }
 
+#[test]
+fn the_source_that_the_matches_contradict_is_named() {
+    for (backwards, expected) in [((true, false), vec!["odometry"]), ((false, true), vec!["imu"]), ((false, false), vec![])] {
+        let mut app = app(&[]);
+        let mut named = Vec::new();
+        for i in 0..12 {
+            let seconds = f64::from(i) * 0.1;
+            app.on_odometry(&odometry_at(seconds, way(if backwards.0 { -seconds } else { seconds }))).unwrap();
+            let mut imu = Imu::default();
+            imu.header.stamp = Stamp::from_seconds(START + seconds).into();
+            imu.angular_velocity.z = if backwards.1 { -0.3 } else { 0.3 };
+            app.on_imu(&imu).unwrap();
+            named = answer(&mut app, &scan_at(seconds, way(seconds))).registration.disbelieved.names().collect();
+        }
+        assert_eq!(named, expected, "{backwards:?}");
+    }
+}
+
 /// Makes a good scan a bad one.
 type Spoil = fn(&mut LaserScan);
 
