@@ -18,6 +18,7 @@ use crate::localization::sensor::SensorKnobs;
 use crate::matching::MatchingKnobs;
 use crate::matching::rejection::RejectionKnobs;
 use crate::odometry::OdometryKnobs;
+use crate::transforms::frame_name;
 
 crate::knobs! {
     /// Frames.
@@ -151,6 +152,45 @@ impl Config {
             knobs.table().into_iter().map(|knob| (path(&knob), knob)).collect::<Vec<_>>()
         };
         self.groups().into_iter().flat_map(in_group).collect()
+    }
+
+    /// Refuses frames without a name, and two that would be each other's parent.
+    pub fn check_frames(&self, source_name: &str) -> Result<(), ConfigError> {
+        let FrameKnobs { map_frame, odom_frame, base_frame, publish_map_tf, prediction_frame, .. } = &self.frames;
+        let refused = |path: &str, problem: String| {
+            Err(ConfigError::BadValue { source_name: source_name.into(), path: path.into(), problem })
+        };
+        let prediction = prediction_frame.as_deref();
+        let named = [
+            ("map_frame", Some(&**map_frame)),
+            ("odom_frame", Some(odom_frame)),
+            ("base_frame", Some(base_frame)),
+            ("prediction_frame", prediction),
+        ];
+        for (path, name) in named {
+            if name.is_some_and(|name| frame_name(name).trim().is_empty()) {
+                return refused(path, "it is empty: a frame needs a name, such as 'odom'; without a slash before it".into());
+            }
+        }
+        let clash = |a: &str, b: &str| frame_name(a) == frame_name(b);
+        for (path, name) in
+            [("map_frame", Some(&**map_frame)), ("odom_frame", Some(odom_frame)), ("prediction_frame", prediction)]
+        {
+            if name.is_some_and(|name| clash(name, base_frame)) {
+                return refused(
+                    path,
+                    format!("it is '{base_frame}', as base_frame is: the robot moves in it, so give the two different names"),
+                );
+            }
+        }
+        if *publish_map_tf && clash(map_frame, odom_frame) {
+            let remedy = "give the two different names, or set publish_map_tf to false";
+            return refused(
+                "odom_frame",
+                format!("it is '{odom_frame}', as map_frame is, and no frame is its own parent: {remedy}"),
+            );
+        }
+        Ok(())
     }
 
     /// Settings that change nothing beside the others, in words.
@@ -313,6 +353,30 @@ mod tests {
         assert!(config.changes().is_empty());
         config.set_yaml("base_frame: car\nmatching: {max_iterations: 8, solver: point_to_line}\n", "x.yaml").unwrap();
         assert_eq!(config.changes(), [("base_frame".into(), "car".into()), ("matching.max_iterations".into(), 8.into())]);
+    }
+
+    #[test]
+    fn frames_need_names_and_names_of_their_own() {
+        let problem = |text: &str| {
+            let mut config = Config::default();
+            config.set_yaml(text, "x.yaml").unwrap();
+            config.check_frames("x.yaml").err().map(|error| error.to_string()).unwrap_or_default()
+        };
+        for good in ["{}", "odom_frame: map\npublish_map_tf: false", "prediction_frame: odom", "prediction_frame: ''"] {
+            assert_eq!(problem(good), "");
+        }
+        for (text, said) in [
+            ("map_frame: ''", "x.yaml: map_frame: it is empty"),
+            ("odom_frame: /", "x.yaml: odom_frame: it is empty"),
+            ("base_frame: ' '", "x.yaml: base_frame: it is empty"),
+            ("odom_frame: map", "x.yaml: odom_frame: it is 'map', as map_frame is"),
+            ("odom_frame: /map", "publish_map_tf to false"),
+            ("base_frame: odom", "x.yaml: odom_frame: it is 'odom', as base_frame is"),
+            ("map_frame: base_link\npublish_map_tf: false", "x.yaml: map_frame: it is 'base_link', as base_frame is"),
+            ("prediction_frame: base_link", "x.yaml: prediction_frame: it is 'base_link'"),
+        ] {
+            assert!(problem(text).contains(said), "{text}: {}", problem(text));
+        }
     }
 
     #[test]

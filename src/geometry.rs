@@ -164,6 +164,13 @@ impl Twist2 {
         Pose2::new(cos * dx - sin * dy, sin * dx + cos * dy, 2.0 * half)
     }
 
+    /// This part of the way from here to another twist; 0: this one, 1: the other.
+    #[must_use]
+    pub fn towards(&self, other: &Self, part: f64) -> Self {
+        let mixed = |from: f64, to: f64| from + part * (to - from);
+        Self { vx: mixed(self.vx, other.vx), vy: mixed(self.vy, other.vy), omega: mixed(self.omega, other.omega) }
+    }
+
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         self.vx.is_finite() && self.vy.is_finite() && self.omega.is_finite()

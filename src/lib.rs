@@ -50,7 +50,8 @@
 //! - With no time budget, or on the virtual clock, the same input gives the same output, to the last bit.
 //! - Bytes from outside are checked before they are used: a bad message, file or parameter is an error that names its place and its
 //!   remedy, never a panic.
-//! - Only `ros` knows rosrust; only the programs read arguments; only `shared_memory::mapping` is unsafe.
+//! - Only `ros` knows rosrust; only the programs read arguments; only `shared_memory::mapping` is unsafe, and one line of
+//!   `ros::node_api`.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::panic, clippy::cast_possible_truncation))]
 

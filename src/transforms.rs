@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
 use crate::geometry::Pose2;
-use crate::messages::geometry_msgs::Transform;
+use crate::messages::geometry_msgs;
 use crate::messages::tf2_msgs::TFMessage;
 
 /// A chain longer than this is a loop.
@@ -67,7 +67,8 @@ impl TransformTree {
         let mut refused = 0;
         for stamped in &message.transforms {
             let (parent, child) = (frame_name(&stamped.header.frame_id), frame_name(&stamped.child_frame_id));
-            match isometry(&stamped.transform) {
+            let geometry_msgs::Transform { translation: t, rotation } = &stamped.transform;
+            match rigid_motion([t.x, t.y, t.z], rotation) {
                 Some(transform) if parent != child => {
                     self.parents.insert(child.to_owned(), (parent.to_owned(), transform));
                 }
@@ -123,6 +124,29 @@ impl TransformTree {
         Some(Mount { base_from_laser: place.unwrap_or(mount.base_from_laser), ..mount })
     }
 
+    /// The place of `inner` in the frame `outer`, when they are connected without any of the frames that either is `moving` in.
+    pub fn fixed(&self, outer: &str, inner: &str, moving: &[&str]) -> Option<Isometry3<f64>> {
+        let (of_outer, of_inner) = (self.ancestors(outer), self.ancestors(inner));
+        let meets = |(frame, _): &&(&str, Isometry3<f64>)| of_inner.iter().any(|(other, _)| other == frame);
+        let &(meeting, meeting_from_outer) = of_outer.iter().find(meets)?;
+        let &(_, meeting_from_inner) = of_inner.iter().find(|(frame, _)| *frame == meeting)?;
+        let up_to_meeting = |chain: &[(&str, Isometry3<f64>)]| {
+            let below = chain.iter().take_while(|(frame, _)| *frame != meeting);
+            below.map(|(frame, _)| *frame).chain([meeting]).any(|frame| moving.contains(&frame))
+        };
+        let is_loose = up_to_meeting(&of_outer) || up_to_meeting(&of_inner);
+        (!is_loose).then(|| meeting_from_outer.inverse() * meeting_from_inner)
+    }
+
+    /// A frame and those that it hangs from, each with the place of the frame in it.
+    fn ancestors<'a>(&'a self, frame: &'a str) -> Vec<(&'a str, Isometry3<f64>)> {
+        let first = (frame_name(frame), Isometry3::identity());
+        let up = |(frame, from_start): &(&'a str, Isometry3<f64>)| {
+            self.parents.get(*frame).map(|(parent, transform)| (parent.as_str(), transform * from_start))
+        };
+        std::iter::successors(Some(first), up).take(MAX_CHAIN).collect()
+    }
+
     fn root<'a>(&'a self, frame: &'a str) -> Option<(&'a str, Isometry3<f64>)> {
         let mut frame = frame_name(frame);
         let mut from_start = Isometry3::identity();
@@ -140,10 +164,47 @@ pub fn frame_name(frame: &str) -> &str {
     frame.trim_start_matches('/')
 }
 
-fn isometry(transform: &Transform) -> Option<Isometry3<f64>> {
-    let (t, r) = (&transform.translation, &transform.rotation);
-    let rotation = UnitQuaternion::try_new(Quaternion::new(r.w, r.x, r.y, r.z), 1e-3)?;
-    let isometry = Isometry3::from_parts(Translation3::new(t.x, t.y, t.z), rotation);
+/// The motion in space of a message; `None`: it is none.
+pub fn rigid_motion(place: [f64; 3], rotation: &geometry_msgs::Quaternion) -> Option<Isometry3<f64>> {
+    let [x, y, z] = place;
+    let rotation = UnitQuaternion::try_new(Quaternion::new(rotation.w, rotation.x, rotation.y, rotation.z), 1e-3)?;
+    let isometry = Isometry3::from_parts(Translation3::new(x, y, z), rotation);
     let finite = isometry.translation.vector.iter().chain(rotation.coords.iter()).all(|v| v.is_finite());
     finite.then_some(isometry)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::std_msgs::Header;
+
+    /// Parent, child, and how far ahead of the parent the child is, m.
+    fn tree(transforms: &[(&str, &str, f64)]) -> TransformTree {
+        let stamped = |&(parent, child, x): &(&str, &str, f64)| geometry_msgs::TransformStamped {
+            header: Header { frame_id: parent.into(), ..Header::default() },
+            child_frame_id: child.into(),
+            transform: Pose2::new(x, 0.0, 0.0).into(),
+        };
+        let mut tree = TransformTree::default();
+        assert_eq!(tree.add(&TFMessage { transforms: transforms.iter().map(stamped).collect() }), 0);
+        tree
+    }
+
+    #[test]
+    fn frames_are_fixed_to_one_another_unless_one_moves_in_between() {
+        let tree = tree(&[
+            ("map", "odom", 5.0),
+            ("odom", "base_footprint", 7.0),
+            ("base_footprint", "base_link", 0.1),
+            ("base_link", "camera", 0.3),
+            ("camera_odom", "camera_pose", 2.0),
+            ("map", "camera_odom", 1.0),
+        ]);
+        let ahead = |outer, inner| tree.fixed(outer, inner, &["odom", "map"]).map(|place| place.translation.x);
+        assert!((ahead("base_footprint", "/base_link").unwrap() - 0.1).abs() < 1e-12);
+        assert!((ahead("camera", "base_link").unwrap() + 0.3).abs() < 1e-12);
+        assert!((ahead("camera", "base_footprint").unwrap() + 0.4).abs() < 1e-12);
+        assert_eq!(ahead("camera_pose", "base_link"), None, "only through the map");
+        assert_eq!(ahead("nowhere", "base_link"), None);
+    }
 }

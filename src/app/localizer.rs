@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use super::initial_pose::InitialPose;
 use super::sensed::Sensed;
-use super::{InputError, MountSource, planar_pose, planar_twist};
+use super::{InputError, MountSource, intake, planar_pose};
 use crate::anytime::clock::Clock;
 use crate::anytime::contract::{Contract, ContractError};
 use crate::anytime::cost_model::{CostModel, Phase};
@@ -25,7 +26,7 @@ use crate::messages::own;
 use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
-use crate::odometry::wheel::{WheelOdometry, WheelSample};
+use crate::odometry::wheel::WheelOdometry;
 use crate::scan::{Scan, ScanConverter, ScanError};
 use crate::time::Stamp;
 use crate::transforms::{Mount, TiltedMount, TransformTree, frame_name};
@@ -119,6 +120,8 @@ pub struct Localizer {
     transforms: TransformTree,
     mount: Mount,
     mount_source: MountSource,
+    /// A pose that was set and its covariance, until the first scan after it.
+    initial_pose: Option<InitialPose<(Pose2, PoseCovariance)>>,
     /// Stamp of the scan used last, and where the robot was then.
     last: Option<(Stamp, Pose2)>,
     twist: Twist2,
@@ -143,6 +146,7 @@ impl Localizer {
             transforms: TransformTree::default(),
             mount: Mount { base_from_laser: parameter.unwrap_or_default(), ..Mount::default() },
             mount_source: if parameter.is_some() { MountSource::Parameter } else { MountSource::Assumed },
+            initial_pose: None,
             last: None,
             twist: Twist2::default(),
             without_odometry: 0,
@@ -219,6 +223,11 @@ impl Localizer {
         convert: impl FnOnce(&mut Self) -> Result<Scan, NoEvidence>,
     ) -> Fix {
         let (stamp, taken_up) = (Stamp::from(header.stamp), self.clock.now());
+        if let Some(InitialPose { pose: (map_from_base, covariance), .. }) =
+            self.initial_pose.take_if(|set| set.precedes(stamp, arrival))
+        {
+            self.start_at(&map_from_base, Some(&covariance));
+        }
         let task = Task { contract: self.contract, arrival, taken_up };
         let mut fix = Fix {
             stamp,
@@ -336,9 +345,9 @@ impl Localizer {
 
     /// Takes wheel odometry.
     pub fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
-        let (stamp, pose) = (message.header.stamp.into(), planar_pose(&message.pose.pose)?);
-        self.wheel.push(WheelSample { stamp, pose, twist: planar_twist(&message.twist.twist) });
-        self.odometer = Some((stamp, pose));
+        let sample = intake::wheel_sample(message, &self.transforms, &self.config.frames)?;
+        self.wheel.push(sample);
+        self.odometer = Some((sample.stamp, sample.pose));
         Ok(())
     }
 
@@ -348,14 +357,15 @@ impl Localizer {
         if count == 0 { Ok(()) } else { Err(InputError::BadTransforms { count }) }
     }
 
-    /// Takes the pose of the base, as a person sets it in `RViz`.
-    pub fn on_initial_pose(&mut self, message: &PoseWithCovarianceStamped) -> Result<(), InputError> {
+    /// Takes the pose of the base, as a person sets it in `RViz`, which came when the clock read `arrival`: the robot is there when the
+    /// next scan after it is taken.
+    pub fn on_initial_pose(&mut self, message: &PoseWithCovarianceStamped, arrival: Duration) -> Result<(), InputError> {
         self.check_frame(&message.header.frame_id)?;
         let pose = planar_pose(&message.pose.pose)?;
         self.check_place(&pose)?;
         let of = |row: usize, column: usize| message.pose.covariance[6 * row + column];
         let covariance = PoseCovariance::from_fn(|row, column| of([0, 1, 5][row], [0, 1, 5][column]));
-        self.start_at(&pose, Some(&covariance));
+        self.initial_pose = Some(InitialPose::new((pose, covariance), &message.header, arrival));
         Ok(())
     }
 
@@ -367,6 +377,7 @@ impl Localizer {
             return Err(InputError::PoseNotFinite);
         }
         self.check_place(&pose)?;
+        self.initial_pose = None;
         self.filter.start_in_place(&pose);
         Ok(())
     }
@@ -389,11 +400,13 @@ impl Localizer {
 
     /// The robot is near `map_from_base`; how near, says `covariance`, or the configuration.
     pub fn start_at(&mut self, map_from_base: &Pose2, covariance: Option<&PoseCovariance>) {
+        self.initial_pose = None;
         self.filter.start_at(map_from_base, covariance);
     }
 
     /// The robot may be anywhere.
     pub fn spread(&mut self) {
+        self.initial_pose = None;
         self.filter.spread();
     }
 

@@ -1,6 +1,8 @@
 //! The application: messages in, estimates out. The node and the offline tool both drive this, so that a replay is what ran live.
 
 mod heading;
+mod initial_pose;
+mod intake;
 pub mod localizer;
 pub mod map_message;
 pub mod sensed;
@@ -12,6 +14,7 @@ use std::time::Duration;
 
 use thiserror::Error;
 
+use self::initial_pose::InitialPose;
 use crate::anytime::clock::Clock;
 use crate::anytime::contract::{BOUND_SIGMAS, Contract, ContractError};
 use crate::anytime::cost_model::{CostModel, Phase};
@@ -73,6 +76,17 @@ pub enum InputError {
         x: f64,
         /// Where, m.
         y: f64,
+    },
+    /// Odometry of a frame that nobody knows the place of on the base.
+    #[error(
+        "it is of the frame '{child}', and no transform says where that is on the base '{base}': unusable (publish the transform on \
+         /tf_static, or set the parameter base_frame)"
+    )]
+    OdometryOfAnotherFrame {
+        /// Its frame.
+        child: String,
+        /// The base's frame.
+        base: String,
     },
     /// A place in another frame than the map's.
     #[error("it is given in the frame '{frame}', expected '{expected}' (in RViz: the fixed frame; parameter map_frame)")]
@@ -176,6 +190,8 @@ pub struct App {
     /// The frame of the last scan, and where on the base it was.
     last_mount: Option<(String, Pose2)>,
     mount_jumped: bool,
+    /// A pose that was set, until the first scan after it.
+    initial_pose: Option<InitialPose<Pose2>>,
     remarks: Vec<String>,
     counters: Counters,
 }
@@ -198,6 +214,7 @@ impl App {
             mount_source: if parameter.is_some() { MountSource::Parameter } else { MountSource::Assumed },
             last_mount: None,
             mount_jumped: false,
+            initial_pose: None,
             remarks: Vec::new(),
             counters: Counters::default(),
         })
@@ -268,6 +285,9 @@ impl App {
     ) -> Estimate {
         let stamp = header.stamp.into();
         self.counters.scans += 1;
+        if let Some(set) = self.initial_pose.take_if(|set| set.precedes(stamp, arrival)) {
+            self.odometry.set_pose(set.pose, set.held_at(stamp, arrival));
+        }
         let task = Task { contract: self.contract, arrival, taken_up: self.clock.now() };
         self.update_mount(&header.frame_id);
         let scan = convert(self);
@@ -324,12 +344,9 @@ impl App {
 
     /// Takes wheel odometry.
     pub fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
-        let pose = self.count_refused(planar_pose(&message.pose.pose))?;
-        self.odometry.add_wheel_sample(WheelSample {
-            stamp: message.header.stamp.into(),
-            pose,
-            twist: planar_twist(&message.twist.twist),
-        });
+        let sample = intake::wheel_sample(message, &self.transforms, &self.config.frames);
+        let sample = self.count_refused(sample)?;
+        self.odometry.add_wheel_sample(sample);
         Ok(())
     }
 
@@ -384,15 +401,16 @@ impl App {
         self.odometry.set_max_iterations(limit);
     }
 
-    /// Takes the pose of the base: the next scan is the first one, there.
-    pub fn on_initial_pose(&mut self, message: &PoseWithCovarianceStamped) -> Result<(), InputError> {
+    /// Takes the pose of the base, which came when the clock read `arrival`: the next scan taken after it is the first one, there.
+    pub fn on_initial_pose(&mut self, message: &PoseWithCovarianceStamped, arrival: Duration) -> Result<(), InputError> {
         let pose = self.count_refused(planar_pose(&message.pose.pose))?;
-        self.odometry.restart_at(pose);
+        self.initial_pose = Some(InitialPose::new(pose, &message.header, arrival));
         Ok(())
     }
 
     /// Starts again from the initial pose.
     pub fn reset(&mut self) {
+        self.initial_pose = None;
         self.odometry.reset();
     }
 

@@ -57,6 +57,7 @@ pub struct MatchReport {
     pub rotation_error: f64,
     pub condition_number: f64,
     pub free_direction: f64,
+    pub disbelieved: String,
     pub new_keyframe: bool,
     pub keyframes: u32,
     pub closed_loops: u32,
@@ -65,7 +66,7 @@ pub struct MatchReport {
 
 impl Message for MatchReport {
     const TYPE: &'static str = "anytime_scan_matcher/MatchReport";
-    const MD5: &'static str = "1f10471edb0651524f97b57a101753bf";
+    const MD5: &'static str = "93bc9c7c18d81255160a86d4a07d7854";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
         ("anytime_scan_matcher/MatchReport", include_str!("../../msg/anytime_scan_matcher/msg/MatchReport.msg")),
         ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),

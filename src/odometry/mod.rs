@@ -12,6 +12,7 @@ mod local_map;
 mod loop_closure;
 mod motion_state;
 mod registration;
+mod set_pose;
 pub mod sources;
 mod trust;
 pub mod uncertainty;
@@ -30,8 +31,9 @@ use heading::HeadingReading;
 use local_map::{LocalMap, Placement, Unrecognised};
 use loop_closure::{LoopCloser, Recognition, Sighting};
 use motion_state::MotionState;
-pub use registration::{Failure, FailureReason, MatchedPoints, Outcome, RefinementReport, Registration};
+pub use registration::{Disbelieved, Failure, FailureReason, MatchedPoints, Outcome, RefinementReport, Registration};
 use registration::{matched_points, report};
+use set_pose::SetPose;
 use sources::MotionSources;
 use trust::Trust;
 use wheel::{WheelEvent, WheelSample};
@@ -48,6 +50,8 @@ const MAX_ACCELERATION: f64 = 30.0;
 const MAX_TURN_ACCELERATION: f64 = 100.0;
 /// Weight of the last scan in the usual agreement.
 const USUAL_WEIGHT: f64 = 0.05;
+/// Time that the usual velocity is of, s.
+const USUAL_TIME: f64 = 0.1;
 /// A sweep that takes longer is a mistake of the driver, s.
 const LONGEST_SWEEP: f64 = 1.0;
 
@@ -154,6 +158,9 @@ pub struct LaserOdometry {
     last: Option<Last>,
     usual_agreement: f64,
     start: Pose2,
+    set_pose: Option<SetPose>,
+    /// The velocity of the last [`USUAL_TIME`]; a single pose that jumps spoils it little.
+    usual_twist: Twist2,
     counters: OdometryCounters,
     keep_matched_points: bool,
     matched_points: Option<MatchedPoints>,
@@ -182,6 +189,8 @@ impl LaserOdometry {
             last: None,
             usual_agreement: 1.0,
             start: knobs.initial_pose,
+            set_pose: None,
+            usual_twist: Twist2::default(),
             counters: OdometryCounters::default(),
             keep_matched_points: false,
             matched_points: None,
@@ -223,6 +232,7 @@ impl LaserOdometry {
         self.last = None;
         self.map_from_odom = Pose2::IDENTITY;
         self.start = map_from_base;
+        self.set_pose = None;
     }
 
     /// Starts again at the initial pose, with nothing known.
@@ -286,6 +296,9 @@ impl LaserOdometry {
         }
         let undistorted = self.undistorted(scan, base_from_laser);
         let scan = undistorted.as_ref().unwrap_or(scan);
+        if let Some(answer) = self.answer_at_set_pose(scan, base_from_laser) {
+            return answer;
+        }
         let Some(last) = self.last else { return self.answer_first(scan, base_from_laser, self.start, PoseCovariance::zeros()) };
         let attempt = self.attempt(last, scan.stamp(), base_from_laser);
         let Some(keyframe) = self.keyframe else {
@@ -301,6 +314,12 @@ impl LaserOdometry {
             StopReason::ErrorBound => becomes_keyframe,
             _ => false,
         };
+        if !worth_finishing
+            && self.is_reference_refuted(&attempt, &found, scan.stamp())
+            && let Some(answer) = self.replace_reference(scan, &attempt, &found)
+        {
+            return answer;
+        }
         if worth_finishing {
             self.unfinished = Some((scan.clone(), attempt, found.keyframe_from_laser));
         } else {
@@ -344,6 +363,10 @@ impl LaserOdometry {
     pub fn finish(&mut self, driver: &mut Driver) {
         let (Some((scan, attempt, reached)), Some(keyframe)) = (self.unfinished.take(), self.keyframe) else { return };
         let found = self.match_to(&keyframe, &scan, &attempt, reached, driver);
+        if self.is_reference_refuted(&attempt, &found, scan.stamp()) {
+            self.replace_reference(&scan, &attempt, &found);
+            return;
+        }
         self.judge_sources(&attempt, &found);
         let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
         if let Ok(answer) = found.answer {
@@ -365,7 +388,8 @@ impl LaserOdometry {
         self.iterations.clear();
         self.iterations.extend_from_slice(refinement.trace());
         let uncertainty = refinement.uncertainty();
-        if let Some(agreement) = refinement.agreement() {
+        let agreement = refinement.agreement();
+        if let Some(agreement) = agreement {
             self.usual_agreement += USUAL_WEIGHT * (agreement - self.usual_agreement);
         }
         let keyframe_from_laser = refinement.pose();
@@ -379,7 +403,7 @@ impl LaserOdometry {
         let map_from_laser = keyframe.map_from_laser * keyframe_from_laser;
         let correction = attempt.predicted_laser().between(&map_from_laser);
         if let Some(problem) = problem(&report, &correction, &self.knobs) {
-            return Found { report, keyframe_from_laser, answer: Err(problem) };
+            return Found { report, keyframe_from_laser, agreement, answer: Err(problem) };
         }
         // Where the scans leave a direction open, what is known of it is the prediction.
         let prediction_covariance = attempt.prediction.covariance;
@@ -403,7 +427,7 @@ impl LaserOdometry {
             predicted_error: ErrorEstimate::of_covariance(&prediction_covariance),
             estimated_error,
         };
-        Found { report, keyframe_from_laser, answer: Ok(answer) }
+        Found { report, keyframe_from_laser, agreement, answer: Ok(answer) }
     }
 
     /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register`] does it otherwise.
@@ -554,6 +578,7 @@ impl LaserOdometry {
             refinement: None,
             predicted_error: ErrorEstimate::UNKNOWN,
             estimated_error: ErrorEstimate::UNKNOWN,
+            disbelieved: Disbelieved { odometry: !self.trust.is_given(), imu: !self.imu_trust.is_given() },
             new_keyframe: false,
         }
     }
@@ -701,6 +726,8 @@ impl LaserOdometry {
     fn conclude(&mut self, scan: &Scan, base_from_laser: &Pose2, answer: Answer, becomes_keyframe: bool) -> Registration {
         let (seen_twist, motion, goes_on) = self.motion(scan.stamp(), &answer);
         let is_lost = answer.is_lost || !goes_on;
+        let seconds = self.last.map_or(0.0, |last| scan.stamp().seconds_since(last.stamp));
+        self.usual_twist = self.usual_twist.towards(&motion.twist, (seconds / USUAL_TIME).clamp(0.0, 1.0));
         let becomes_keyframe = becomes_keyframe || is_lost;
         let map_from_laser = answer.map_from_base * *base_from_laser;
         if becomes_keyframe {
@@ -766,6 +793,8 @@ struct UpcomingKeyframe {
 struct Found {
     report: RefinementReport,
     keyframe_from_laser: Pose2,
+    /// The part of the rays that agree, where the pairs tell.
+    agreement: Option<f64>,
     /// The answer, or why there is none.
     answer: Result<Answer, Failure>,
 }

@@ -40,6 +40,11 @@ impl MotionState {
         Self { twist: Twist2::default(), covariance: blocks(covariance, &Matrix3::zeros(), &(white_noise() * LONGEST)) }
     }
 
+    /// Of a robot that is supposed to move like this, though nothing is known of it.
+    pub(super) fn supposed(twist: Twist2) -> Self {
+        Self { twist, ..Self::unknown(&PoseCovariance::zeros()) }
+    }
+
     /// Covariance of the velocity, m/s, m/s, rad/s.
     pub(super) fn twist_covariance(&self) -> PoseCovariance {
         self.covariance.fixed_view::<3, 3>(3, 3).into()

@@ -92,6 +92,8 @@ pub struct Registration {
     pub predicted_error: ErrorEstimate,
     /// Error of this answer in itself, not of the way up to here.
     pub estimated_error: ErrorEstimate,
+    /// The sources of motion that are not believed from here on.
+    pub disbelieved: Disbelieved,
     /// Whether the scan becomes the reference of the next ones.
     pub new_keyframe: bool,
 }
@@ -100,6 +102,22 @@ impl Registration {
     /// Pose of the base on the map.
     pub fn map_from_base(&self) -> Pose2 {
         self.map_from_odom * self.odom_from_base
+    }
+}
+
+/// The sources of motion that the last matches contradict: they predict nothing until a match agrees with them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Disbelieved {
+    /// What says where the base is: wheel odometry, another node's transforms, a velocity.
+    pub odometry: bool,
+    /// What says how it turns.
+    pub imu: bool,
+}
+
+impl Disbelieved {
+    /// Their names.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        [("odometry", self.odometry), ("imu", self.imu)].into_iter().filter_map(|(name, disbelieved)| disbelieved.then_some(name))
     }
 }
 

@@ -109,6 +109,7 @@ impl Answer<'_> {
             rotation_error: answer.estimated_error.rotation,
             condition_number: number(|r| r.condition_number),
             free_direction: number(|r| r.free_direction.unwrap_or(f64::NAN)),
+            disbelieved: answer.disbelieved.names().collect::<Vec<_>>().join(" "),
             new_keyframe: answer.new_keyframe,
             keyframes: u32::try_from(counters.keyframes).unwrap_or(u32::MAX),
             closed_loops: u32::try_from(counters.closed_loops).unwrap_or(u32::MAX),

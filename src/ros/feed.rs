@@ -67,6 +67,8 @@ struct Publishers {
     wanted: HashSet<String>,
     /// Those that have a thread.
     linked: HashSet<String>,
+    /// Those that are connected.
+    heard: HashSet<String>,
     throttle: Throttle,
 }
 
@@ -86,6 +88,11 @@ impl Feed {
     /// What is listened for.
     pub(super) fn wanted(&self) -> Topic {
         lock(&self.inlet).topic
+    }
+
+    /// The nodes that it is connected to.
+    pub(super) fn heard(&self) -> Vec<String> {
+        lock(&self.publishers).heard.iter().cloned().collect()
     }
 
     /// Whether there is nobody to hear from of what the node lives on.
@@ -159,7 +166,9 @@ impl Feed {
         let (stream, header) = connect(&address, &self.node, &self.topic)?;
         let fits = lock(&self.inlet).accepts(&header, publisher, &self.topic, &self.log);
         self.open.fetch_add(1, Ordering::Relaxed);
+        lock(&self.publishers).heard.insert(publisher.into());
         let problem = self.hear(stream, fits, publisher, messages);
+        lock(&self.publishers).heard.remove(publisher);
         self.open.fetch_sub(1, Ordering::Relaxed);
         problem
     }

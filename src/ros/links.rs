@@ -2,12 +2,12 @@
 //!
 //! rosrust's own subscribers take as much memory as a message announces, stand still when a publisher does not send its header, and
 //! never return to one whose connection broke. So the connections are made here. rosrust answers for the node to the master and to
-//! the other nodes; it keeps to itself when the master tells it of a new publisher, so who publishes is read from the master's state:
-//! once a second, and more often while there is nobody to hear from. It is one small request for all topics together, and right again by
+//! the other nodes. Who publishes is read from the master's state: when the master tells of somebody new (`node_api`), once a second,
+//! and more often while there is nobody to hear from. It is one small request for all topics together, and right again by
 //! itself after a master has been replaced.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::{self, Thread};
 use std::time::{Duration, Instant};
 
@@ -18,6 +18,7 @@ use super::feed::Feed;
 use super::inlet::{Inlet, Topic};
 use super::log::Log;
 use super::master::{connect, resolved};
+use super::node_api::{self, Inputs};
 use crate::anytime::clock::Clock;
 
 /// Time between two questions to the master who publishes, while there is nobody to hear from or somebody has just come or gone:
@@ -36,26 +37,44 @@ pub(super) struct Links<'a> {
     clock: Arc<dyn Clock>,
     log: Log,
     shared: Arc<Shared>,
-    watcher: Thread,
 }
 
 struct Shared {
     master: Arc<Master>,
     feeds: Mutex<Vec<Arc<Feed>>>,
     closed: AtomicBool,
+    watcher: OnceLock<Thread>,
+}
+
+impl Inputs for Shared {
+    fn topics(&self) -> Vec<(String, String)> {
+        self.feeds().iter().map(|feed| (feed.topic.clone(), feed.wanted().message_type.into())).collect()
+    }
+
+    fn connections(&self) -> Vec<(String, String)> {
+        let of_feed = |feed: &Arc<Feed>| feed.heard().into_iter().map(|node| (feed.topic.clone(), node)).collect::<Vec<_>>();
+        self.feeds().iter().flat_map(of_feed).collect()
+    }
+
+    fn look_again(&self) {
+        self.watcher.get().inspect(|watcher| watcher.unpark());
+    }
 }
 
 impl<'a> Links<'a> {
     /// Without subscriptions so far.
     pub(super) fn new(ros: &'a Ros, clock: &Arc<dyn Clock>, log: &Log) -> Result<Self, NodeError> {
         let master = Arc::new(connect(ros.name(), ros.uri())?);
-        let shared = Arc::new(Shared { master, feeds: Mutex::default(), closed: AtomicBool::new(false) });
+        let shared =
+            Arc::new(Shared { master, feeds: Mutex::default(), closed: AtomicBool::new(false), watcher: OnceLock::new() });
         let watched = Arc::clone(&shared);
         let watcher = thread::Builder::new()
             .name("links".into())
             .spawn(move || watched.watch())
             .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
-        Ok(Self { ros, clock: Arc::clone(clock), log: log.clone(), shared, watcher: watcher.thread().clone() })
+        let _ = shared.watcher.set(watcher.thread().clone());
+        node_api::set_inputs(&shared);
+        Ok(Self { ros, clock: Arc::clone(clock), log: log.clone(), shared })
     }
 
     /// Subscribes to the topic of `inlet`.
@@ -65,7 +84,7 @@ impl<'a> Links<'a> {
         master.register_subscriber(&topic, inlet.topic.message_type).map_err(failed)?;
         let feed = Feed::new(topic, self.ros.name(), master, Arc::clone(&self.clock), self.log.clone(), inlet);
         self.shared.feeds().push(Arc::new(feed));
-        self.watcher.unpark();
+        self.shared.look_again();
         Ok(())
     }
 

@@ -1,6 +1,7 @@
 //! Parameters that change while the node runs: a few take effect at once, the others are refused.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use rosrust::api::Master;
 
@@ -33,8 +34,27 @@ pub(super) enum Change {
 /// A change for the matching thread, in force from the next scan on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum MatchingChange {
-    Contract(Contract),
+    Limit(Limit),
     MaxIterations(u32),
+}
+
+/// A limit of the contract; the others stay as they are in force, wherever they came from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Limit {
+    TimeBudget(Option<Duration>),
+    TranslationErrorBound(Option<f64>),
+    RotationErrorBound(Option<f64>),
+}
+
+impl Limit {
+    /// The contract with this limit.
+    pub(super) fn applied_to(self, contract: Contract) -> Contract {
+        match self {
+            Self::TimeBudget(time_budget) => Contract { time_budget, ..contract },
+            Self::TranslationErrorBound(translation_error_bound) => Contract { translation_error_bound, ..contract },
+            Self::RotationErrorBound(rotation_error_bound) => Contract { rotation_error_bound, ..contract },
+        }
+    }
 }
 
 /// Looks what has changed among the private parameters of the node.
@@ -77,11 +97,15 @@ impl<'a> ParameterWatch<'a> {
     /// `None`: it is what it was, said in another way.
     fn change(&mut self, path: &str, value: &Value) -> Option<Result<Change, String>> {
         let mut config = self.config.clone();
-        if let Err(error) = config.set(path, value, &format!("parameters of {}", self.node)) {
+        let source = format!("parameters of {}", self.node);
+        if let Err(error) = config.set(path, value, &source) {
             return Some(Err(error.to_string()));
         }
         if config == self.config {
             return None;
+        }
+        if let Err(error) = config.check_frames(&source) {
+            return Some(Err(error.to_string()));
         }
         if !LIVE.contains(&path) {
             return Some(Err(format!("it takes effect when the node is started again; at once do: {}", LIVE.join(", "))));
@@ -92,7 +116,11 @@ impl<'a> ParameterWatch<'a> {
             "publish_map_tf" => transform(&config.frames.odom_frame, config.frames.publish_map_tf),
             "matching.max_iterations" => Change::Matching(MatchingChange::MaxIterations(config.matching.max_iterations)),
             _ => match Contract::try_from(&config.contract) {
-                Ok(contract) => Change::Matching(MatchingChange::Contract(contract)),
+                Ok(contract) => Change::Matching(MatchingChange::Limit(match path {
+                    "contract.time_budget" => Limit::TimeBudget(contract.time_budget),
+                    "contract.translation_error_bound" => Limit::TranslationErrorBound(contract.translation_error_bound),
+                    _ => Limit::RotationErrorBound(contract.rotation_error_bound),
+                })),
                 Err(error) => return Some(Err(error.to_string())),
             },
         };
@@ -124,7 +152,6 @@ fn leaves(tree: &Value) -> BTreeMap<String, Value> {
 mod tests {
     use super::*;
     use serde_json::json;
-    use std::time::Duration;
 
     fn watch<'a>(master: &'a Master, tree: &Value) -> ParameterWatch<'a> {
         let mut config = Config::default();
@@ -140,8 +167,10 @@ mod tests {
         assert_eq!(look(json!({"contract": {"time_budget": "5ms"}})), []);
         assert_eq!(look(json!({"contract": {"time_budget": 0.005}})), [], "the same in another way");
         let changes = look(json!({"contract": {"time_budget": 0.007}}));
-        let [(name, Ok(Change::Matching(MatchingChange::Contract(contract))))] = &changes[..] else { panic!("{changes:?}") };
-        assert_eq!((name.as_str(), contract.time_budget), ("contract.time_budget = 0.007", Some(Duration::from_millis(7))));
+        let limit = Limit::TimeBudget(Some(Duration::from_millis(7)));
+        assert_eq!(changes, [("contract.time_budget = 0.007".into(), Ok(Change::Matching(MatchingChange::Limit(limit))))]);
+        let by_topic = Contract { translation_error_bound: Some(0.01), ..Contract::default() };
+        assert_eq!(limit.applied_to(by_topic), Contract { time_budget: Some(Duration::from_millis(7)), ..by_topic });
         let changes = look(json!({"publish_tf": false, "publish_map_tf": false, "matching": {"max_iterations": 3}}));
         let changes: Vec<Change> = changes.into_iter().map(|(_, change)| change.unwrap()).collect();
         let silent = |child: &str| Change::PublishTransform { child: child.into(), on: false };

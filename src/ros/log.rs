@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::io::Write as _;
+use std::sync::Arc;
 use std::time::Duration;
 
 use rosrust::Publisher;
@@ -9,6 +10,7 @@ use rosrust::api::Ros;
 use rosrust_msg::rosgraph_msgs;
 
 use super::NodeError;
+use super::publishers::listed;
 
 /// Topic of all nodes' logs.
 pub(super) const ROSOUT: &str = "/rosout";
@@ -19,13 +21,13 @@ const WARNING_PERIOD: Duration = Duration::from_secs(1);
 #[derive(Clone)]
 pub(super) struct Log {
     node: String,
-    rosout: Publisher<rosgraph_msgs::Log>,
+    rosout: Arc<Publisher<rosgraph_msgs::Log>>,
 }
 
 impl Log {
     pub(super) fn new(ros: &Ros) -> Result<Self, NodeError> {
         let rosout = ros.publish(ROSOUT, QUEUE).map_err(|error| NodeError::ros("publish /rosout", &error))?;
-        Ok(Self { node: ros.name().into(), rosout })
+        Ok(Self { node: ros.name().into(), rosout: listed(ROSOUT.into(), rosout) })
     }
 
     pub(super) fn info(&self, text: &str) {

@@ -3,10 +3,11 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
-use rosrust::api::{Master, Ros, resolve};
+use rosrust::api::{Master, Ros};
 
 use super::NodeError;
 use super::log::{Log, print};
+use super::node_api;
 use super::shutdown::StopSignal;
 use super::sockets;
 use super::tcpros::request_topic;
@@ -15,7 +16,7 @@ const RETRY_PERIOD: Duration = Duration::from_millis(500);
 
 /// Waits until there is a master for the program `name`. `false`: the node is to stop instead.
 pub(super) fn wait_for_master(name: &str, stop: &StopSignal) -> Result<bool, NodeError> {
-    let uri = resolve::master();
+    let uri = node_api::master_uri();
     let master = connect(&format!("/{name}"), "")?;
     let mut told = false;
     while let Err(error) = master.get_uri() {
@@ -30,10 +31,11 @@ pub(super) fn wait_for_master(name: &str, stop: &StopSignal) -> Result<bool, Nod
     Ok(true)
 }
 
-/// The master as seen by the node of this name, which answers at `node_uri`.
+/// The master as seen by the node of this name; `node_uri`: where rosrust answers for it.
 pub(super) fn connect(node: &str, node_uri: &str) -> Result<Master, NodeError> {
-    let uri = resolve::master();
-    Master::new(&uri, node, node_uri).map_err(|error| NodeError::ros(format!("use the ROS master's address '{uri}'"), &error))
+    let uri = node_api::master_uri();
+    Master::new(&uri, node, node_api::uri(node_uri))
+        .map_err(|error| NodeError::ros(format!("use the ROS master's address '{uri}'"), &error))
 }
 
 /// `name` in full: in its namespace and remapped.

@@ -5,7 +5,7 @@ use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 use super::convert::Answer;
-use super::diagnostics::{MOUNT_ASSUMED, Monitor, TRANSFORM_WITHHELD};
+use super::diagnostics::{IMU_DISBELIEVED, MOUNT_ASSUMED, Monitor, ODOMETRY_DISBELIEVED, TRANSFORM_WITHHELD};
 use super::inlet::Letter;
 use super::interrupts::Interrupts;
 use super::live_params::MatchingChange;
@@ -126,11 +126,15 @@ impl Matcher {
             Input::StampedVelocity => {
                 self.reader.read::<TwistStamped>(topic, &letter).map_or(Ok(()), |message| self.app.on_velocity(&message.twist))
             }
-            Input::InitialPose => self.reader.read(topic, &letter).map_or(Ok(()), |message| self.app.on_initial_pose(&message)),
+            Input::InitialPose => {
+                let app = &mut self.app;
+                self.reader.read(topic, &letter).map_or(Ok(()), |message| app.on_initial_pose(&message, letter.arrival))
+            }
             Input::Contract => self.reader.read(topic, &letter).map_or(Ok(()), |message| self.app.on_contract(&message)),
             Input::Transforms | Input::StaticTransforms => self.reader.read(topic, &letter).map_or(Ok(()), |message| {
+                let outcome = self.app.on_transforms(&message);
                 self.give_way(&message, &letter.sender);
-                self.app.on_transforms(&message)
+                outcome
             }),
         };
         if let Err(error) = outcome {
@@ -151,24 +155,28 @@ impl Matcher {
 
     fn apply(&mut self, change: MatchingChange) {
         match change {
-            MatchingChange::Contract(contract) => self.app.set_contract(contract),
+            MatchingChange::Limit(limit) => self.app.set_contract(limit.applied_to(self.app.contract())),
             MatchingChange::MaxIterations(limit) => self.app.set_max_iterations(limit),
         }
     }
 
     fn give_way(&self, message: &TFMessage, sender: &str) {
         let FrameKnobs { odom_frame, base_frame, .. } = &self.app.config().frames;
-        let of_odom = Rival::find(message, sender, odom_frame);
-        let of_base = Rival::find(message, sender, base_frame);
-        // Another odometry in our frame: then it is not ours to say where that is.
-        let odometry = of_base.as_ref().filter(|rival| rival.is_from(odom_frame));
-        let conflicts = [(&of_base, base_frame), (&of_odom, odom_frame)];
-        let conflicts = conflicts.into_iter().filter_map(|(rival, child)| Some((rival.as_ref()?, child)));
-        for (rival, child) in conflicts.chain(odometry.map(|rival| (rival, odom_frame))) {
-            if let Some(warning) = self.publishers.transform().give_way(rival, child) {
-                self.log.warn(&warning);
-                self.monitor.set_condition(TRANSFORM_WITHHELD, true);
+        for child in [base_frame, odom_frame] {
+            if let Some(rival) = Rival::find(message, sender, child) {
+                self.withhold(&rival, child);
             }
+        }
+        // Another odometry in our frame, however many transforms it takes to the base: then it is not ours to say where that frame is.
+        if self.app.transforms().carries(odom_frame, base_frame) {
+            self.withhold(&Rival::new(sender, odom_frame, base_frame), odom_frame);
+        }
+    }
+
+    fn withhold(&self, rival: &Rival, child: &str) {
+        if let Some(warning) = self.publishers.transform().give_way(rival, child) {
+            self.log.warn(&warning);
+            self.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
     }
 
@@ -185,6 +193,9 @@ impl Matcher {
         if let Outcome::Predicted(problem) = &estimate.registration.outcome {
             self.reader.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
         }
+        let disbelieved = estimate.registration.disbelieved;
+        self.monitor.set_condition(ODOMETRY_DISBELIEVED, disbelieved.odometry);
+        self.monitor.set_condition(IMU_DISBELIEVED, disbelieved.imu);
         self.watch_mount();
         for remark in self.app.take_remarks() {
             self.log.warn(&format!("scan: {remark}"));

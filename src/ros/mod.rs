@@ -25,6 +25,7 @@ mod mailbox;
 mod master;
 mod matcher;
 mod node;
+mod node_api;
 mod numbering;
 mod outlet;
 mod params;

@@ -9,7 +9,7 @@ use crate::config::{Config, ConfigError, set_group};
 use crate::knobs::{KnobGroup, Value};
 
 /// Names a YAML file to read before the other parameters.
-const CONFIG_FILE: &str = "config";
+pub(super) const CONFIG_FILE: &str = "config";
 /// Old nodes' way of prefixing frames: launch files set it for whole groups of nodes. It means nothing here.
 const TF_PREFIX: &str = "tf_prefix";
 
@@ -50,7 +50,9 @@ pub(super) fn configure(mut config: Config, mut tree: Value, node: &str) -> Resu
     {
         read_file(&mut config, &file, node)?;
     }
-    config.set_tree(&tree, &format!("parameters of {node}"))?;
+    let source = format!("parameters of {node}");
+    config.set_tree(&tree, &source)?;
+    config.check_frames(&source)?;
     Ok(config)
 }
 

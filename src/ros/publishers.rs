@@ -15,7 +15,8 @@ use rosrust_msg::visualization_msgs::Marker;
 use super::NodeError;
 use super::compat::{Face, PoseOutputs};
 use super::convert::Answer;
-use super::master::Role;
+use super::master::{Role, resolved};
+use super::node_api;
 use super::path::PathHistory;
 use super::priority::urgently;
 use super::transform_output::TransformOutput;
@@ -25,13 +26,22 @@ use crate::time::Stamp;
 /// Messages that may wait for a subscriber: a bag played fast makes bursts of answers, and of `icp_state` every edge counts.
 const QUEUE: usize = 100;
 
+/// A publisher that `rosnode info` tells of for as long as it lives.
+pub(super) fn listed<T: Message>(topic: String, publisher: Publisher<T>) -> Arc<Publisher<T>> {
+    let publisher = Arc::new(publisher);
+    let weak = Arc::downgrade(&publisher);
+    node_api::add_output(topic, move || Some(weak.upgrade()?.subscriber_names()));
+    publisher
+}
+
 /// A topic that messages of one type leave by.
 ///
 /// rosrust writes the present time over stamps of zero and its own numbers over ours, so it is given bytes.
 pub(super) struct Output<T> {
     topic: &'static str,
+    resolved: String,
     message_type: String,
-    publisher: Publisher<RawMessage>,
+    publisher: Arc<Publisher<RawMessage>>,
     message: PhantomData<fn(T)>,
 }
 
@@ -42,13 +52,16 @@ impl<T> Output<T> {
         let publisher = ros
             .publish_with_description(topic, QUEUE, description)
             .map_err(|error| NodeError::ros(format!("publish '{topic}'"), &error))?;
-        Ok(Self { topic, message_type, publisher, message: PhantomData })
+        let resolved = resolved(ros, topic)?;
+        let publisher = listed(resolved.clone(), publisher);
+        Ok(Self { topic, resolved, message_type, publisher, message: PhantomData })
     }
 
     /// New listeners are given the last message at once.
-    pub(super) fn latched(mut self) -> Self {
-        self.publisher.set_latching(true);
-        self
+    pub(super) fn latched(self) -> Self {
+        let mut publisher = Publisher::clone(&self.publisher);
+        publisher.set_latching(true);
+        Self { publisher: listed(self.resolved.clone(), publisher), ..self }
     }
 
     pub(super) fn has_listeners(&self) -> bool {

@@ -28,9 +28,9 @@ impl<'a> Rival<'a> {
         Some(Self { sender, parent: frame_name(&transform.header.frame_id), child })
     }
 
-    /// Whether it is given in this frame.
-    pub(super) fn is_from(&self, frame: &str) -> bool {
-        self.parent == frame_name(frame)
+    /// One that leads from `parent` to `child`, in one step or several.
+    pub(super) fn new(sender: &'a str, parent: &'a str, child: &'a str) -> Self {
+        Self { sender, parent: frame_name(parent), child: frame_name(child) }
     }
 }
 

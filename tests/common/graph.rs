@@ -166,6 +166,12 @@ impl Graph {
         self.call_master("getSystemState", &["/test"])
     }
 
+    /// Where a node answers.
+    pub fn node_address(&self, node: &str) -> String {
+        let answer = self.call_master("lookupNode", &["/test", node]);
+        answer.split("http://").nth(1).unwrap().split('/').next().unwrap().into()
+    }
+
     /// The master's answer, in XML, to a call with these strings.
     pub fn call_master(&self, method: &str, arguments: &[&str]) -> String {
         let values: Vec<String> = arguments.iter().map(|text| format!("<string>{text}</string>")).collect();

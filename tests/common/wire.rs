@@ -144,12 +144,11 @@ pub fn connect(graph: &Graph, topic: &str) -> TcpStream {
 }
 
 fn connect_to(graph: &Graph, node: &str, topic: &str) -> TcpStream {
-    let answer = graph.call_master("lookupNode", &["/test", node]);
-    let api = answer.split("http://").nth(1).unwrap().split('/').next().unwrap();
+    let api = graph.node_address(node);
     let protocols =
         "<array><data><value><array><data><value><string>TCPROS</string></value></data></array></value></data></array>";
     let answer =
-        call(api, "requestTopic", &["<string>/test</string>".into(), format!("<string>{topic}</string>"), protocols.into()]);
+        call(&api, "requestTopic", &["<string>/test</string>".into(), format!("<string>{topic}</string>"), protocols.into()]);
     let mut numbers = answer.rsplit(|c: char| !c.is_ascii_digit()).filter_map(|word| word.parse::<u16>().ok());
     let port = numbers.find(|port| *port > 1024).unwrap();
     let stream = TcpStream::connect(("localhost", port)).unwrap();

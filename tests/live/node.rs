@@ -5,9 +5,9 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use crate::common::drive::{self, EndlessScan, MOUNT, Recording, TOPICS, Text, at, header, pose_message};
-use crate::common::graph::{Graph, NODE, PACKAGE, PATIENCE, Process, eventually, installed, within};
+use crate::common::graph::{Graph, NODE, PACKAGE, PATIENCE, Process, call, eventually, installed, within};
 use crate::common::skipped::skip;
-use crate::common::wire::Publisher;
+use crate::common::wire::{Listener, Publisher};
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::messages::ackermann_msgs::AckermannDriveStamped;
@@ -302,6 +302,114 @@ fn initial_pose_reset_and_a_second_parent_of_the_base() {
     assert_eq!(node.log().matches("held back").count(), 1);
 }
 
+/// As `TurtleBot3` has it.
+#[test]
+fn odometry_that_reaches_the_base_over_several_transforms_has_its_frame_to_itself() {
+    let Some(graph) = Graph::start() else { return };
+    let bag = graph.dir.path().join("drive.bag");
+    let transform = |seconds: f64, parent: &str, child: &str| {
+        let mut stamped =
+            TransformStamped { header: header(seconds, parent), child_frame_id: child.into(), ..Default::default() };
+        stamped.transform.rotation.w = 1.0;
+        TFMessage { transforms: vec![stamped] }
+    };
+    drive::write(&bag, 160, |writer| {
+        for i in 0..30 {
+            let seconds = 1.0 + 0.1 * f64::from(i);
+            writer.write("/tf", at(seconds), &transform(seconds, "odom", "base_footprint")).unwrap();
+        }
+        writer.write("/tf_static", at(2.0), &transform(2.0, "base_footprint", "base_link")).unwrap();
+    });
+    let node = graph.node(&[MOUNT]);
+    let recorder = graph.record(&TOPICS);
+    graph.play(&bag, &[]);
+    let recording = Recording::read(&graph.finish_recording(recorder), "");
+    for transforms in [&recording.transforms, &recording.map_transforms] {
+        let last = transforms.last().unwrap().seconds_since(at(0.0));
+        assert!((1.5..2.5).contains(&last), "until the odometry is known to reach the base: {last}");
+    }
+    assert_eq!(node.log().matches("held back").count(), 2, "{}", node.log());
+    assert!(node.log().contains("odom -> base_link: this node's own to odom"), "{}", node.log());
+}
+
+#[test]
+fn rosnode_info_tells_whom_the_node_is_connected_to() {
+    let Some(graph) = Graph::start() else { return };
+    let _node = graph.node(&[MOUNT]);
+    let laser = Publisher::new::<LaserScan>(&graph, "/front_laser", "/scan");
+    let _link = laser.link();
+    let _listener = Listener::new(&graph, "/scan_match_location");
+    let info = || graph.output("rosnode", &["info", "/scan_matcher"]);
+    for said in ["* topic: /scan\n    * to: /front_laser", "* topic: /scan_match_location\n    * to: /listener"] {
+        assert!(eventually(|| info().contains(said)), "{}", info());
+    }
+    let info = info();
+    for said in [
+        "contacting node",
+        "Pid:",
+        "/scan [sensor_msgs/LaserScan]",
+        "direction: inbound",
+        "direction: outbound",
+        "/scan_matcher/reset",
+    ] {
+        assert!(info.contains(said), "{said}: {info}");
+    }
+    assert!(!info.contains("ERROR"), "{info}");
+    for (method, said) in [("getSubscriptions", "sensor_msgs/LaserScan"), ("getBusStats", "/scan_match_location")] {
+        let answer = call(&graph.node_address("/scan_matcher"), method, &["<string>/test</string>".into()]);
+        assert!(answer.contains(said), "{method}: {answer}");
+    }
+    laser.unregister(&graph);
+}
+
+/// The master says so when somebody has come: a message that is latched for a moment only is not missed, nor heard a second late.
+#[test]
+fn publishers_that_come_are_heard_at_once() {
+    let Some(graph) = Graph::start() else { return };
+    let node = graph.node(&[MOUNT]);
+    let laser = Publisher::new::<LaserScan>(&graph, "/front_laser", "/scan");
+    let _link = laser.link();
+    std::thread::sleep(4 * SECOND); // by now it looks around by itself once a second only
+    let mut waits: Vec<Duration> = (0..5)
+        .map(|number| {
+            let start = Instant::now();
+            let speaker = Publisher::new::<PoseWithCovarianceStamped>(&graph, &format!("/speaker_{number}"), "/initialpose");
+            let _link = speaker.link();
+            let wait = start.elapsed();
+            speaker.unregister(&graph);
+            std::thread::sleep(SECOND);
+            wait
+        })
+        .collect();
+    waits.sort_unstable();
+    assert!(waits[2] < Duration::from_millis(300), "{waits:?}: {}", node.log());
+    laser.unregister(&graph);
+}
+
+#[test]
+fn our_messages_are_known_from_a_checkout() {
+    let Some(graph) = Graph::start() else { return };
+    let shown = graph.output("rosmsg", &["show", "anytime_scan_matcher/MatchReport"]);
+    assert!(shown.contains("std_msgs/Header header") && shown.contains("string disbelieved"), "{shown}");
+    // README's one line for Python.
+    let script = format!(". {PACKAGE}/launch/python_messages.sh && exec rostopic echo -n 1 /icp_report");
+    let mut shell = graph.command("bash");
+    shell.args(["-c", &script]).env("XDG_CACHE_HOME", graph.dir.path().join("cache"));
+    let mut echo = Process::spawn(shell, graph.dir.path());
+    let _node = graph.node(&[MOUNT]);
+    let bag = graph.dir.path().join("drive.bag");
+    drive::write(&bag, 40, |_| ());
+    assert!(
+        eventually(|| {
+            graph.play(&bag, &["--delay", "0.5"]);
+            echo.log().contains("mean_residual:")
+        }),
+        "{}",
+        echo.log()
+    );
+    assert_eq!(echo.exit_code(PATIENCE), Some(0));
+}
+
 #[test]
 fn parameters_come_from_a_file_and_mistakes_end_the_node() {
     let Some(graph) = Graph::start() else { return };
@@ -316,6 +424,9 @@ fn parameters_come_from_a_file_and_mistakes_end_the_node() {
         ("_matching/max_iteration:=9", "did you mean 'matching.max_iterations'?"),
         ("_matching/max_iterations:=many", "expected whole number"),
         ("_config:=nowhere.yaml", "nowhere.yaml"),
+        ("_base_frame:=''", "base_frame: it is empty"),
+        ("_odom_frame:=map", "odom_frame: it is 'map', as map_frame is"),
+        ("_base_frame:=odom", "odom_frame: it is 'odom', as base_frame is"),
     ] {
         let mut node = graph.spawn_node(&[argument]);
         assert_eq!(node.exit_code(PATIENCE), Some(1), "{argument}");
@@ -416,6 +527,13 @@ fn catkin_builds_what_rostopic_needs_to_show_our_messages() {
     assert!(program.is_file(), "{}", make.log());
     check_installed(&graph);
 
+    for space in ["devel", "install"] {
+        let env = graph.dir.path().join(space).join("env.sh");
+        let mut rosmsg = graph.command(env);
+        let shown =
+            rosmsg.env_remove("ROS_PACKAGE_PATH").args(["rosmsg", "show", "anytime_scan_matcher/MatchReport"]).output().unwrap();
+        assert!(String::from_utf8_lossy(&shown.stdout).contains("std_msgs/Header header"), "{space}: {shown:?}");
+    }
     let _node = graph.spawn(program.to_str().unwrap(), &[MOUNT]);
     let bag = graph.dir.path().join("drive.bag");
     drive::write(&bag, 40, |_| ());

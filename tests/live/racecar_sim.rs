@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::io::Write as _;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::thread;
@@ -12,10 +13,10 @@ use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::messages::ackermann_msgs::{AckermannDrive, AckermannDriveStamped};
 use anytime_scan_matcher::messages::geometry_msgs::{PoseStamped, PoseWithCovarianceStamped, Twist, Vector3};
-use anytime_scan_matcher::messages::header_stamp;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::messages::{self, header_stamp};
 use anytime_scan_matcher::time::Stamp;
 use rosrust::RosMsg as _;
 use rosrust_msg::anytime_scan_matcher::MatchReport;
@@ -23,7 +24,7 @@ use rosrust_msg::anytime_scan_matcher::MatchReport;
 use crate::common::drive::pose_message;
 use crate::common::graph::{Graph, PACKAGE, PATIENCE, Process, eventually};
 use crate::common::skipped::skip;
-use crate::common::wire::{Listener, say};
+use crate::common::wire::{Listener, Publisher, frame, say};
 
 /// Where the simulator is told to put the car: far from where it drives at that time.
 const CARRIED_TO: [Pose2; 2] = [Pose2 { x: 0.0, y: 6.1, theta: 3.1 }, Pose2 { x: 11.4, y: 0.0, theta: 1.57 }];
@@ -172,6 +173,63 @@ fn poses_are_the_truth_beside_a_simulator_that_teleports() {
         let scan = &drive.scans[0];
         assert_eq!((scan.ranges.len(), scan.scan_time.to_bits(), scan.time_increment.to_bits()), (1080, 0, 0));
     }
+}
+
+/// `RViz`'s "2D Pose Estimate", again and again: simulator and matcher both hear it, one of them first.
+#[test]
+fn poses_that_are_set_while_scans_are_on_their_way_are_right() {
+    const TRIES: usize = 40;
+    let Some(graph) = Graph::start() else { return };
+    let places = [CARRIED_TO[0], Pose2::new(-11.5, 0.0, -1.57), CARRIED_TO[1], Pose2::new(0.0, -6.1, 0.0)];
+    for rate in [40, 200, 1000] {
+        let scan_rate = format!("_scan_rate:={rate}");
+        let simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &["_autopilot:=true", "_rate:=200", &scan_rate]);
+        simulator.expect_log("simulates a racecar in corridor");
+        let node = graph.node(&["odom:=no_odom", "_odom_frame:=icp_odom"]);
+        node.expect_log("by tf");
+        let speaker = Publisher::new::<PoseWithCovarianceStamped>(&graph, "/speaker", "/initialpose");
+        let mut links = [speaker.link(), speaker.link()];
+        let recorder = graph.record(&["/odom", "/scan_match_location"]);
+        wait(1.0);
+        for number in 0..TRIES {
+            let mut told = PoseWithCovarianceStamped::default();
+            told.pose.pose = pose_message(places[number % places.len()]);
+            let bytes = frame(&messages::encode(&told).unwrap());
+            links.rotate_left(number % 2); // now the one first, now the other
+            for link in &mut links {
+                link.write_all(&bytes).unwrap();
+            }
+            wait(0.4);
+        }
+        let drive = Drive::read(&graph.finish_recording(recorder));
+        let teleports = drive.teleports();
+        assert!(teleports.len() >= TRIES - 1, "{} teleports", teleports.len()); // the car may be there already
+        let errors: Vec<f64> = teleports
+            .iter()
+            .filter_map(|teleport| {
+                let settled = drive.found.range(teleport.offset_by(0.2)..teleport.offset_by(0.38));
+                let (found, truth) =
+                    settled.filter_map(|(stamp, pose)| Some((pose, interpolated(&drive.truth, *stamp)?))).next_back()?;
+                Some(truth.between(found).distance())
+            })
+            .collect();
+        let wrong = errors.iter().filter(|error| **error > 0.1).count();
+        eprintln!(
+            "{rate} Hz: {wrong} of {} wrong, the worst by {:.3} m",
+            errors.len(),
+            errors.iter().copied().fold(0.0, f64::max)
+        );
+        assert!(errors.len() >= TRIES - 4 && wrong == 0, "{errors:?}");
+        speaker.unregister(&graph);
+    }
+}
+
+/// Where the car was at a time.
+fn interpolated(truth: &BTreeMap<Stamp, Pose2>, stamp: Stamp) -> Option<Pose2> {
+    let (before, a) = truth.range(..=stamp).next_back()?;
+    let (after, b) = truth.range(stamp..).next()?;
+    let span = after.seconds_since(*before);
+    Some(if span > 0.0 { a.interpolate(b, stamp.seconds_since(*before) / span) } else { *a })
 }
 
 /// A car that nobody drives stands still; one that is told to goes, by either topic.

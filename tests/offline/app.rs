@@ -327,7 +327,7 @@ fn poses_that_are_no_poses_are_refused() {
     assert!(matches!(app.on_odometry(&zero), Err(InputError::QuaternionNotNormalized { .. })));
     let mut initial = PoseWithCovarianceStamped::default();
     initial.pose.pose.orientation.w = f64::INFINITY;
-    assert_eq!(app.on_initial_pose(&initial), Err(InputError::PoseNotFinite));
+    assert_eq!(app.on_initial_pose(&initial, Duration::ZERO), Err(InputError::PoseNotFinite));
     let transform = TransformStamped { child_frame_id: "laser".into(), ..TransformStamped::default() };
     assert_eq!(app.on_transforms(&TFMessage { transforms: vec![transform] }), Err(InputError::BadTransforms { count: 1 }));
     assert_eq!(app.counters().refused_messages, 4);
@@ -350,13 +350,31 @@ fn an_initial_pose_and_a_reset_start_again() {
     }
     let mut initial = PoseWithCovarianceStamped::default();
     initial.pose.pose = Pose2::new(5.0, 6.0, 1.0).into();
-    app.on_initial_pose(&initial).unwrap();
+    app.on_initial_pose(&initial, Duration::ZERO).unwrap();
     let estimate = answer(&mut app, &scan_at(0.6, way(0.6)));
     assert_eq!(estimate.registration.outcome, Outcome::First);
     assert_near(estimate.registration.odom_from_base, Pose2::new(5.0, 6.0, 1.0), 1e-9);
     app.reset();
     let estimate = answer(&mut app, &scan_at(0.7, way(0.7)));
     assert_eq!(estimate.registration.odom_from_base, Pose2::IDENTITY);
+}
+
+#[test]
+fn the_source_that_the_matches_contradict_is_named() {
+    for (backwards, expected) in [((true, false), vec!["odometry"]), ((false, true), vec!["imu"]), ((false, false), vec![])] {
+        let mut app = app(&[]);
+        let mut named = Vec::new();
+        for i in 0..12 {
+            let seconds = f64::from(i) * 0.1;
+            app.on_odometry(&odometry_at(seconds, way(if backwards.0 { -seconds } else { seconds }))).unwrap();
+            let mut imu = Imu::default();
+            imu.header.stamp = Stamp::from_seconds(START + seconds).into();
+            imu.angular_velocity.z = if backwards.1 { -0.3 } else { 0.3 };
+            app.on_imu(&imu).unwrap();
+            named = answer(&mut app, &scan_at(seconds, way(seconds))).registration.disbelieved.names().collect();
+        }
+        assert_eq!(named, expected, "{backwards:?}");
+    }
 }
 
 /// Makes a good scan a bad one.

@@ -119,7 +119,7 @@ fn handle(app: &mut App, bytes: &[u8]) -> bool {
         decode(bytes).is_ok_and(|message: Imu| app.on_imu(&message).is_ok()),
         decode(bytes).is_ok_and(|message: Twist| app.on_velocity(&message).is_ok()),
         decode(bytes).is_ok_and(|message: Contract| app.on_contract(&message).is_ok()),
-        decode(bytes).is_ok_and(|message: PoseWithCovarianceStamped| app.on_initial_pose(&message).is_ok()),
+        decode(bytes).is_ok_and(|message: PoseWithCovarianceStamped| app.on_initial_pose(&message, Duration::ZERO).is_ok()),
         decode(bytes).is_ok_and(|message: OccupancyGrid| map_message::grid(&message).is_ok()),
     ]
     .contains(&true)

@@ -15,11 +15,13 @@ mod correspondences;
 mod covariance;
 mod evaluation;
 mod fuzz;
+mod initial_pose;
 mod layers;
 #[cfg(target_os = "linux")]
 mod licences;
 mod localization;
 mod no_allocation;
+mod odometry_frames;
 mod plotjuggler;
 mod profile;
 mod raycasting;

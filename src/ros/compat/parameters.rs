@@ -1,11 +1,14 @@
 //! The parameters of `laser_scan_matcher` in this node's words.
 
+use std::collections::BTreeSet;
+
 use rosrust::api::Master;
+use serde_json::Map;
 
 use crate::config::{Config, ConfigError, set_group};
-use crate::knobs::{KnobGroup as _, Value};
+use crate::knobs::{KnobGroup as _, Value, nearest_name};
 use crate::ros::NodeError;
-use crate::ros::params::{configure, private_parameters};
+use crate::ros::params::{CONFIG_FILE, configure, private_parameters};
 use crate::ros::subscriptions::Input;
 
 crate::knobs! {
@@ -85,6 +88,14 @@ const IGNORED: [&str; 18] = [
     "use_sigma_weights",
 ];
 
+/// Knobs that only the search for closest points reads.
+const CLASSIC: [&str; 4] = [
+    "matching.max_correspondence_distance",
+    "rejection.trim_percentile",
+    "rejection.adaptive_percentile",
+    "rejection.adaptive_multiplier",
+];
+
 /// Which topics the poses are wanted on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(clippy::struct_excessive_bools)] // one for each topic
@@ -131,17 +142,21 @@ fn translate(mut tree: Value, node: &str) -> Result<(Config, Face), ConfigError>
     if let Value::Object(parameters) = &mut tree {
         let mut take = |name: &str| parameters.remove(name);
         ignored.extend(IGNORED.iter().filter(|name| take(name).is_some()).map(|name| (*name).to_owned()));
-        renamed.extend(RENAMED.iter().filter_map(|(name, ours)| Some((*ours, take(name)?))));
+        renamed.extend(RENAMED.iter().filter_map(|(name, ours)| Some((*name, *ours, take(name)?))));
         let known = theirs.table();
         let own = known.iter().filter_map(|knob| Some((knob.name.to_owned(), take(knob.name)?))).collect();
         set_group(&mut theirs, &Value::Object(own), &source)?;
+        ignored.extend(take_unknown(parameters, "", &names_here()));
     }
     let mut defaults = Config::default();
     adopt(&theirs, &mut defaults, &source)?;
-    for (path, value) in renamed {
-        defaults.set(path, &value, &source)?;
+    for (_, path, value) in &renamed {
+        defaults.set(path, value, &source)?;
     }
-    let config = configure(defaults, tree, node)?;
+    let config = configure(defaults, tree, node).map_err(in_their_words)?;
+    // What only closest points read means nothing where pairs are looked up by projection.
+    let is_read = |path: &str| config.matching.correspondence.search().is_some() || !CLASSIC.contains(&path);
+    ignored.extend(renamed.iter().filter(|(_, path, _)| !is_read(path)).map(|(name, ..)| (*name).to_owned()));
     let wanted = |input| match input {
         Input::Imu => theirs.use_imu,
         Input::Odometry => theirs.use_odom,
@@ -157,6 +172,45 @@ fn translate(mut tree: Value, node: &str) -> Result<(Config, Face), ConfigError>
     };
     let face = Face { inputs: inputs(&config, wanted), poses: Some(poses), ignored };
     Ok((config, face))
+}
+
+/// Every name that a parameter can have here.
+fn names_here() -> BTreeSet<String> {
+    Config::default().table().into_iter().map(|(path, _)| path).chain([CONFIG_FILE.into()]).collect()
+}
+
+/// Removes what neither node knows, as the other would pass over it; the names, each with the one that may have been meant.
+fn take_unknown(parameters: &mut Map<String, Value>, prefix: &str, known: &BTreeSet<String>) -> Vec<String> {
+    let mut unknown = Vec::new();
+    parameters.retain(|name, value| {
+        let path = format!("{prefix}{name}");
+        if let Value::Object(inner) = value {
+            unknown.extend(take_unknown(inner, &format!("{path}."), known));
+            return true;
+        }
+        let is_known = known.contains(&path);
+        if !is_known {
+            let theirs = CompatKnobs::default().table();
+            let near = if prefix.is_empty() {
+                nearest_name(&path, theirs.iter().map(|knob| knob.name).chain(RENAMED.iter().map(|(name, _)| *name)))
+            } else {
+                nearest_name(&path, known.iter().map(String::as_str))
+            };
+            unknown.push(near.map_or_else(|| path.clone(), |near| format!("{path} (did you mean {near}?)")));
+        }
+        is_known
+    });
+    unknown
+}
+
+/// Both frames of this node are the one of the other.
+fn in_their_words(error: ConfigError) -> ConfigError {
+    match error {
+        ConfigError::BadValue { source_name, path, problem } if ["map_frame", "odom_frame"].contains(&&*path) => {
+            ConfigError::BadValue { source_name, path: "fixed_frame".into(), problem }
+        }
+        error => error,
+    }
 }
 
 /// Sets this node's knobs by what the others mean.
@@ -222,9 +276,42 @@ mod tests {
         assert!(face.inputs.contains(&Input::Cloud) && face.inputs.contains(&Input::StampedVelocity));
         assert!(!face.inputs.contains(&Input::Scan) && !face.inputs.contains(&Input::Odometry));
         assert_eq!(face.ignored, ["restart", "use_sigma_weights"]);
-        let mistake = translate(json!({"kf_dist_lineal": 1}), "/node").unwrap_err().to_string();
-        assert!(mistake.contains("kf_dist_lineal"), "{mistake}");
         let range = translate(json!({"kf_dist_linear": -1}), "/node").unwrap_err().to_string();
         assert!(range.contains("kf_dist_linear") && range.contains("0 to 100"), "{range}");
+    }
+
+    #[test]
+    fn what_the_other_node_would_pass_over_is_named_and_not_fatal() {
+        let tree = json!({
+            "use_alpha_beta": true, "alpha": 1.0, "beta": 0.8, "publy_pose": true, "kf_dist_lineal": 1, "sigma": 0.02,
+            "contract": {"time_budget": "5ms", "time_bugdet": 1},
+        });
+        let (config, face) = translate(tree, "/node").unwrap();
+        let names: Vec<&str> = face.ignored.iter().map(|text| text.split(' ').next().unwrap()).collect();
+        assert_eq!(names, ["alpha", "beta", "contract.time_bugdet", "kf_dist_lineal", "publy_pose", "use_alpha_beta"]);
+        for meant in ["contract.time_budget", "kf_dist_linear", "publish_pose"] {
+            assert!(face.ignored.iter().any(|text| text.ends_with(&format!("(did you mean {meant}?)"))), "{:?}", face.ignored);
+        }
+        assert!((config.contract.time_budget.0 - 0.005).abs() < 1e-12 && (config.matching.range_noise - 0.02).abs() < 1e-12);
+        assert!(translate(json!({"sigma": "much"}), "/node").is_err(), "a value that cannot be used is a mistake all the same");
+    }
+
+    #[test]
+    fn what_is_mapped_is_read_by_the_matcher_in_use_or_named() {
+        let tree =
+            |to_lines| json!({"outliers_maxPerc": 0.8, "max_correspondence_dist": 0.4, "use_point_to_line_distance": to_lines});
+        let (_, face) = translate(tree(1), "/node").unwrap();
+        assert_eq!(face.ignored, ["max_correspondence_dist", "outliers_maxPerc"]);
+        let (config, face) = translate(tree(0), "/node").unwrap();
+        assert!(face.ignored.is_empty() && config.warnings().is_empty(), "{:?} {:?}", face.ignored, config.warnings());
+        assert!((config.rejection.trim_percentile - 0.8).abs() < 1e-12);
+        assert!((config.matching.max_correspondence_distance - 0.4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_frame_of_the_poses_is_called_as_it_was_set() {
+        let problem = |tree| translate(tree, "/node").unwrap_err().to_string();
+        assert!(problem(json!({"fixed_frame": ""})).contains("fixed_frame: it is empty"));
+        assert!(problem(json!({"base_frame": "world"})).contains("fixed_frame: it is 'world'"));
     }
 }

@@ -180,7 +180,9 @@ impl Worker {
         match input {
             Input::Scan | Input::Cloud | Input::Map | Input::Interrupt => {} // have their own ways
             Input::Odometry => self.tell(input, letter, |localizer, message| localizer.on_odometry(&message)),
-            Input::InitialPose => self.tell(input, letter, |localizer, message| localizer.on_initial_pose(&message)),
+            Input::InitialPose => {
+                self.tell(input, letter, |localizer, message| localizer.on_initial_pose(&message, letter.arrival));
+            }
             Input::ClickedPoint => self.tell(input, letter, |localizer, message| localizer.on_clicked_point(&message)),
             Input::Contract => match (self.reader.read::<Contract>(input.name(), letter), &mut self.localizer) {
                 (Some(contract), Some(localizer)) => {
