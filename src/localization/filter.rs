@@ -6,6 +6,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::LocalizationKnobs;
 use super::agreement::{Agreement, DECIDED, LEAST};
+use super::calibration::Calibration;
 use super::estimate;
 use super::evidence::Evidence;
 use super::model::Model;
@@ -86,8 +87,12 @@ pub struct ParticleFilter {
     posterior: Vec<f32>,
     /// Particles that there is time for.
     affordable: usize,
-    /// Time since the scan before, s.
+    /// Motion and time since the scan before, s.
+    motion: Pose2,
     seconds: f64,
+    /// What is known of the odometry's steady errors, and where the cloud was believed to be after the last scan.
+    calibration: Calibration,
+    last: Option<Pose2>,
     /// How much of the scans the cloud explains.
     agreement: Agreement,
     /// While the robot may be elsewhere.
@@ -114,7 +119,10 @@ impl ParticleFilter {
             belief: None,
             posterior: Vec::new(),
             affordable: usize::MAX,
+            motion: Pose2::IDENTITY,
             seconds: 0.0,
+            calibration: Calibration::default(),
+            last: None,
             agreement: Agreement::expecting(sensor.hit),
             search: None,
             rays: 0,
@@ -160,6 +168,7 @@ impl ParticleFilter {
 
     fn forget(&mut self) {
         self.belief = None;
+        self.last = None;
         self.particles.clear();
         self.agreement = Agreement::expecting(self.model.sensor.hit);
         self.search = None;
@@ -179,17 +188,19 @@ impl ParticleFilter {
     /// Forgets everything: as new.
     pub fn begin_anew(&mut self) {
         self.streams = Streams::new(self.model.knobs.seed);
+        self.calibration = Calibration::default();
         self.affordable = usize::MAX;
         self.spread();
     }
 
     /// The robot has moved: `motion`, seen from its start, took `seconds`.
     pub fn predict(&mut self, motion: &Pose2, seconds: f64) {
-        self.seconds = seconds;
+        (self.motion, self.seconds) = (*motion, seconds);
+        let motion = self.calibration.motion(motion);
         if let Some(search) = &mut self.search {
-            search.moved(motion, seconds);
+            search.moved(&motion, seconds);
         }
-        let motion = UncertainMotion::new(&self.model.motion, motion, seconds);
+        let motion = UncertainMotion::new(&self.model.motion, &motion, seconds);
         self.model.move_all(&mut self.particles, &motion, self.streams.next());
     }
 
@@ -242,6 +253,10 @@ impl ParticleFilter {
         if belief.beams > 0 {
             self.agreement = self.agreement_with(belief.explained);
         }
+        if let Some(last) = self.last.replace(belief.map_from_base).filter(|_| belief.is_localized() && self.seconds > 0.0) {
+            let predicted = last * self.calibration.motion(&self.motion);
+            self.calibration.learn(&self.motion, &predicted.between(&belief.map_from_base));
+        }
         let (count, usual) = (self.len(), self.usual_count());
         let is_off = count > usual || count < usual && self.model.knobs.min_particles.is_none();
         if is_off || belief.effective < self.model.knobs.resample_below * count as f64 {
@@ -273,6 +288,7 @@ impl ParticleFilter {
             self.search = None;
         } else if self.particles.is_empty() || explained >= self.agreement.recent() + DECIDED {
             self.particles = search.particles_there(&self.model, self.model.knobs.particles as usize, &mut self.streams);
+            self.last = None;
             self.agreement = Agreement::expecting(self.model.sensor.hit);
             self.search = None;
         } else {

@@ -6,6 +6,7 @@
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // particles live in single precision, within the map
 
 mod agreement;
+mod calibration;
 mod estimate;
 mod evidence;
 pub mod filter;
