@@ -34,7 +34,7 @@ fn a_pose_that_explains_the_scans_is_never_given_up() {
 }
 
 #[test]
-fn a_kidnapped_robot_is_found_again_little_by_little() {
+fn a_kidnapped_robot_is_found_again() {
     let rate = 10.0;
     let drives = [2, 5].map(|seed| Drive { seed, seconds: 20.0, rate });
     let outcome = run(&corridor(), &drives, &Config::default(), at_truth);
