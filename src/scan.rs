@@ -207,6 +207,8 @@ pub struct Scan {
     valid: usize,
     /// The rays that met nothing within reach.
     nothing_seen: Vec<bool>,
+    /// How far the laser sees, m.
+    reach: f64,
     /// From one ray to the next, s.
     time_increment: f64,
 }
@@ -236,12 +238,17 @@ impl Scan {
         if (valid as f64) < MIN_VALID_FRACTION * ranges.len() as f64 {
             return Err(ScanError::TooFewValid { valid, beams: ranges.len() });
         }
-        Ok(Self { stamp, beams, ranges, valid, nothing_seen, time_increment: 0.0 })
+        Ok(Self { stamp, beams, ranges, valid, nothing_seen, reach: range_max, time_increment: 0.0 })
     }
 
     /// When the scan was taken.
     pub fn stamp(&self) -> Stamp {
         self.stamp
+    }
+
+    /// How far the laser sees, m: rays that would go farther saw nothing.
+    pub fn reach(&self) -> f64 {
+        self.reach
     }
 
     /// The same scan, its rays taken one after the other: `time_increment` s apart.
@@ -274,7 +281,7 @@ impl Scan {
         }
         let beams = Arc::new(BeamGeometry::about(self.beams.angle_min, self.beams.angle_increment, directions));
         let nothing_seen = self.nothing_seen.clone();
-        Self { stamp: self.stamp, beams, ranges, valid: self.valid, nothing_seen, time_increment: 0.0 }
+        Self { stamp: self.stamp, beams, ranges, valid: self.valid, nothing_seen, reach: self.reach, time_increment: 0.0 }
     }
 
     /// Directions of its beams.

@@ -168,8 +168,8 @@ impl Localizer {
                 self.filter.update(observation, &Pose2::IDENTITY, &mut driver);
                 let refined = driver.refined().unwrap_or(now);
                 let closing = self.clock.now().saturating_sub(refined);
+                self.filter.finish(false, &mut driver);
                 self.costs.observe(Phase::Closing, particles as usize, closing);
-                self.filter.finish(None);
             }
         }
         self.costs.learn();
@@ -300,7 +300,7 @@ impl Localizer {
         let now = self.clock.now();
         let task = Task { contract: Contract::default(), arrival: now, taken_up: now };
         let mut driver = Driver::new(task, &*self.clock, interrupt, &mut self.costs);
-        self.filter.finish(self.config.contract.finish_after_answer.then_some(&mut driver));
+        self.filter.finish(self.config.contract.finish_after_answer, &mut driver);
         self.costs.learn();
     }
 

@@ -2,7 +2,9 @@
 
 use std::collections::HashMap;
 
-use super::particles::Particles;
+use super::filter::Belief;
+use super::model::Model;
+use super::particles::{Particles, effective_number};
 use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 
 /// A cloud wider than this (standard deviation, m) may be several.
@@ -13,16 +15,34 @@ const BIN: (f32, f32) = (0.5, 0.35);
 const CLUSTER: (f32, f32) = (1.0, 0.6);
 
 /// The estimate in the grid: cells and rad.
-pub(super) struct Mean {
-    pub(super) pose: Pose2,
+struct Mean {
+    pose: Pose2,
     /// Of x, y and heading: m^2, m rad, rad^2, along the grid.
-    pub(super) covariance: PoseCovariance,
+    covariance: PoseCovariance,
     /// Part of the weight it stands for.
-    pub(super) share: f64,
+    share: f64,
+}
+
+/// What weighted particles lead to believe; of the scan nothing is said yet.
+pub(super) fn belief(model: &Model, particles: &Particles, weights: &[f32]) -> Belief {
+    let mean = mean(particles, weights, model.grid.resolution());
+    let (sin, cos) = model.grid.pose_in_map(&Pose2::IDENTITY).theta.sin_cos();
+    let turn = nalgebra::Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+    Belief {
+        map_from_base: model.grid.pose_in_map(&mean.pose),
+        covariance: turn * mean.covariance * turn.transpose(),
+        share: mean.share,
+        particles: particles.len(),
+        effective: effective_number(weights),
+        beams: 0,
+        fit: 0.0,
+        explained: 0.0,
+        is_sought: false,
+    }
 }
 
 /// The mean of all particles while they are together, else of the heaviest cluster.
-pub(super) fn mean(particles: &Particles, weights: &[f32], resolution: f64) -> Mean {
+fn mean(particles: &Particles, weights: &[f32], resolution: f64) -> Mean {
     let all = mean_of(particles, weights, resolution, |_| true);
     if all.covariance.m11 + all.covariance.m22 < COMPACT * COMPACT {
         return all;

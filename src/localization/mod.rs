@@ -5,9 +5,12 @@
 
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // particles live in single precision, within the map
 
+mod agreement;
+mod calibration;
 mod estimate;
 mod evidence;
 pub mod filter;
+mod model;
 pub mod motion;
 pub mod observation;
 mod particles;
@@ -38,7 +41,8 @@ crate::knobs! {
         particles: u32 = 4000, in 10 to 1_000_000;
         /// While the cloud is compact, as few as this will do (KLD sampling); unset: always `particles`.
         min_particles: Option<u32> = None, in 10 to 1_000_000;
-        /// Particles to begin with when the robot may be anywhere; their number falls as the cloud contracts (KLD sampling).
+        /// Particles to begin with when the robot may be anywhere; their number falls as the cloud contracts (KLD sampling). They take in a scan
+        /// in the course of several updates.
         global_particles: u32 = 100_000, in 100 to 10_000_000;
         /// KLD sampling: bound on the error of the distribution.
         kld_error: f64 = 0.05, in 0.001 to 1;
@@ -48,8 +52,9 @@ crate::knobs! {
         least_effective: f64 = 0.02, in 0 to 0.5;
         /// The same while the robot may be anywhere: no place is given up in haste.
         global_least_effective: f64 = 0.2, in 0 to 0.5;
-        /// Particles are thrown over the whole map when the scans fit worse than this part of what they use to; 0: never.
-        recover_below: f64 = 0.7, in 0 to 1;
+        /// The robot is looked for all over the map, too, when the map explains a smaller part of the beams than this part of what it uses
+        /// to; it is taken to be elsewhere only once that explains the scans decidedly better. 0: never.
+        recover_below: f64 = 0.85, in 0 to 1;
         /// How far an initial pose without covariance may be off.
         initial_position_error: f64 = 0.3, in 0 to 100, unit "m";
         /// How far its heading may be off.

@@ -31,6 +31,8 @@ crate::knobs! {
         speed_error: f64 = 0.1, in 0 to 10, unit "m/s";
         /// Standard deviation of the steering angle (car).
         steering_error: f64 = 10.0, in 0 to 60, unit "deg";
+        /// Standard deviation of the angle at which tyres slip sideways (car).
+        sideslip_error: f64 = 2.0, in 0 to 45, unit "deg";
         /// Distance between the axles (car).
         wheelbase: f64 = 0.33, in 0.05 to 10, unit "m";
         /// Error of rotation by rotation (differential).
@@ -47,7 +49,7 @@ crate::knobs! {
 /// A motion that is known up to some errors.
 #[derive(Clone, Debug)]
 pub(super) enum UncertainMotion {
-    Car { twist: Twist2, steering: f64, seconds: f64, speed_error: f64, steering_error: f64, wheelbase: f64 },
+    Car { twist: Twist2, steering: f64, seconds: f64, speed_error: f64, steering_error: f64, sideslip_error: f64, wheelbase: f64 },
     Differential { rotations: [f64; 2], way: f64, deviations: [f64; 3] },
 }
 
@@ -64,8 +66,9 @@ impl UncertainMotion {
         let twist = Twist2::of_motion(motion, seconds);
         let moving = twist.vx.abs() > STANDING;
         let steering = if moving { (knobs.wheelbase * twist.omega / twist.vx).atan() } else { 0.0 };
-        let (speed_error, steering_error) = (knobs.speed_error, knobs.steering_error.to_radians());
-        Self::Car { twist, steering, seconds, speed_error, steering_error, wheelbase: knobs.wheelbase }
+        let [steering_error, sideslip_error] = [knobs.steering_error, knobs.sideslip_error].map(f64::to_radians);
+        let speed_error = knobs.speed_error;
+        Self::Car { twist, steering, seconds, speed_error, steering_error, sideslip_error, wheelbase: knobs.wheelbase }
     }
 
     fn differential(knobs: &MotionKnobs, motion: &Pose2) -> Self {
@@ -85,7 +88,7 @@ impl UncertainMotion {
     pub(super) fn sample(&self, random: &mut impl Rng) -> Sampled {
         let mut normal = || -> f64 { StandardNormal.sample(random) };
         match self {
-            Self::Car { twist, steering, seconds, speed_error, steering_error, wheelbase } => {
+            Self::Car { twist, steering, seconds, speed_error, steering_error, sideslip_error, wheelbase } => {
                 let speed = twist.vx + speed_error * normal();
                 let error = steering_error * normal();
                 let omega = if twist.vx.abs() > STANDING {
@@ -94,7 +97,8 @@ impl UncertainMotion {
                     twist.omega + speed * error.clamp(-MAX_STEERING, MAX_STEERING).tan() / wheelbase
                 };
                 let turn = omega * seconds;
-                Sampled { ahead: speed * seconds, left: twist.vy * seconds, direction: 0.5 * turn, turn }
+                let direction = 0.5 * turn + sideslip_error * normal();
+                Sampled { ahead: speed * seconds, left: twist.vy * seconds, direction, turn }
             }
             Self::Differential { rotations: [first, second], way, deviations } => {
                 let first = first + deviations[0] * normal();

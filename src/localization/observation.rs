@@ -12,6 +12,8 @@ pub struct Observation {
     pub(super) fan: Fan,
     /// Lengths, m; infinite where the laser saw nothing within its reach.
     pub(super) ranges: Vec<f64>,
+    /// The laser's reach, m.
+    pub(super) reach: f64,
 }
 
 impl Observation {
@@ -29,12 +31,12 @@ impl Observation {
                 ranges.push(if nothing_there { f64::INFINITY } else { range });
             }
         }
-        Self { stamp: scan.stamp(), ..Self::of(angles, ranges) }
+        Self { stamp: scan.stamp(), reach: scan.reach(), ..Self::of(angles, ranges) }
     }
 
     /// Beams at these angles, rad, with these lengths, m.
     pub(super) fn of(angles: Vec<f64>, ranges: Vec<f64>) -> Self {
-        Self { stamp: Stamp::default(), fan: Fan::new(angles), ranges }
+        Self { stamp: Stamp::default(), fan: Fan::new(angles), ranges, reach: f64::INFINITY }
     }
 
     /// Number of beams.

@@ -32,6 +32,10 @@ impl Particles {
         self.log_weight.clear();
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.x.is_empty()
+    }
+
     pub(super) fn pose(&self, index: usize) -> [f32; 3] {
         [self.x[index], self.y[index], self.theta[index]]
     }

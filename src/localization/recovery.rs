@@ -1,4 +1,4 @@
-//! Whether the filter has lost its robot: scans fit worse than they use to (after augmented MCL; Thrun et al., 2005).
+//! Whether a search is on the wrong track: scans fit worse than they would (after augmented MCL; Thrun et al., 2005).
 
 /// Weight of the newest fit in the fast and in the slow average.
 const RATES: (f64, f64) = (0.1, 0.002);
@@ -38,7 +38,7 @@ impl Fit {
     }
 
     /// What scans use to fit, or are expected to.
-    pub(super) fn usual(&self) -> f64 {
+    fn usual(&self) -> f64 {
         self.slow.max(self.expected)
     }
 }

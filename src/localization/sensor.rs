@@ -68,12 +68,15 @@ impl BeamTable {
         ranges.iter().map(row).collect()
     }
 
-    /// Adds the logarithm of the likelihood of one beam, by its row, to that of each particle where the map has `lengths`, cells.
+    /// Adds the logarithm of the likelihood of one beam, by its row, to that of each particle where the map has `lengths`, cells. What
+    /// is beyond the laser's `reach`, m, it does not see.
     #[inline]
-    pub(super) fn add_log_likelihoods(&self, row: &[f32], lengths: &[f32], sums: &mut [f32]) {
+    pub(super) fn add_log_likelihoods(&self, row: &[f32], reach: f64, lengths: &[f32], sums: &mut [f32]) {
         let (row, last) = (&row[..self.classes], self.classes - 1);
+        let reach = ((reach / CLASS) as usize).min(last);
         for (sum, length) in sums.iter_mut().zip(lengths) {
-            *sum += row[((length * self.classes_per_cell) as usize).min(last)];
+            let class = (length * self.classes_per_cell) as usize;
+            *sum += row[if class < reach { class } else { last }];
         }
     }
 }

@@ -18,11 +18,23 @@ impl Streams {
         Self { seed: seed.into(), step: 0 }
     }
 
-    /// The streams of the next step: a function from the number of the chunk.
-    pub(super) fn next(&mut self) -> impl Fn(usize) -> Pcg64Mcg + Sync + use<> {
+    /// The next step.
+    pub(super) fn next(&mut self) -> Step {
         self.step += 1;
-        let (seed, step) = (self.seed, self.step);
-        move |chunk| Pcg64Mcg::seed_from_u64(mix(mix(mix(seed) ^ step) ^ chunk as u64))
+        Step { key: mix(mix(self.seed) ^ self.step) }
+    }
+}
+
+/// A step, which may be worked on piece by piece.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Step {
+    key: u64,
+}
+
+impl Step {
+    /// The stream of a chunk.
+    pub(super) fn stream(self, chunk: usize) -> Pcg64Mcg {
+        Pcg64Mcg::seed_from_u64(mix(self.key ^ chunk as u64))
     }
 }
 

@@ -1,6 +1,9 @@
 //! An update as work that can be stopped: particles and beams that fit into the time there is.
 
 use super::filter::ParticleFilter;
+use super::model::Model;
+use super::search::Search;
+use super::streams::Streams;
 use crate::anytime::contract::Contract;
 use crate::anytime::cost_model::Phase;
 use crate::anytime::{ErrorEstimate, Outlook, Work};
@@ -51,6 +54,33 @@ impl Work for Update<'_> {
             let error = ErrorEstimate::of_covariance(&belief.covariance);
             belief.is_localized() && contract.is_satisfied_by(error.translation, error.rotation)
         }
+    }
+}
+
+/// Looking for the robot all over the map, after an answer: bounded in itself, and in whole steps. The costs of these are not those of
+/// following it, and nothing is planned by them.
+pub(super) struct Searching<'a> {
+    pub(super) search: &'a mut Search,
+    pub(super) model: &'a Model,
+    pub(super) streams: &'a mut Streams,
+}
+
+impl Work for Searching<'_> {
+    fn size(&self, _phase: Phase) -> usize {
+        0
+    }
+
+    fn plan(&mut self, _outlook: &Outlook) {}
+
+    fn step(&mut self) -> Option<StopReason> {
+        if self.search.has_work() {
+            self.search.work(self.model, self.streams);
+        }
+        (!self.search.has_work()).then_some(StopReason::Converged)
+    }
+
+    fn is_good_enough(&mut self, _contract: &Contract) -> bool {
+        false
     }
 }
 

@@ -1,6 +1,6 @@
 //! A bag through the particle filter, and what came of it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::time::Duration;
@@ -18,6 +18,7 @@ use crate::evaluation::statistics::{PoseErrors, percentile};
 use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::Pose2;
 use crate::io::bag::{Bag, BagError};
+use crate::localization::filter::Belief;
 use crate::matching::StopReason;
 use crate::time::Stamp;
 
@@ -93,7 +94,7 @@ fn pass_over<E>(
     on_answer(&Answer::Between { stamp, map_from_base }, scan)
 }
 
-const HEADER: [&str; 15] = [
+const HEADER: [&str; 16] = [
     "stamp",
     "x_m",
     "y_m",
@@ -107,6 +108,7 @@ const HEADER: [&str; 15] = [
     "effective",
     "beams",
     "fit",
+    "explained",
     "stop_reason",
     "elapsed_us",
 ];
@@ -136,6 +138,7 @@ impl<W: Write> BeliefFile<W> {
         record.push(format!("{:.4}", belief.share));
         record.push(belief.particles.to_string());
         record.extend([format!("{:.1}", belief.effective), belief.beams.to_string(), format!("{:.5}", belief.fit)]);
+        record.push(format!("{:.4}", belief.explained));
         record.push(answer.stop_reason.map_or("", StopReason::name).into());
         record.push(format!("{:.3}", microseconds(answer.elapsed)));
         self.writer.write_record(record)?;
@@ -152,11 +155,12 @@ impl<W: Write> BeliefFile<W> {
 #[derive(Clone, Debug, Default)]
 pub struct LocalizationSummary {
     poses: Vec<StampedPose>,
+    /// Those of scans after which the robot knew where it was.
+    localized: Vec<StampedPose>,
     elapsed: Vec<Duration>,
-    localized: usize,
     between: usize,
-    /// Stamp of the first scan after which the robot knew where it was.
-    found: Option<Stamp>,
+    /// Sum of the parts of their beams that the map explained.
+    explained: f64,
     particles: usize,
     effective: f64,
     beams: usize,
@@ -164,8 +168,6 @@ pub struct LocalizationSummary {
     worst_overrun: Duration,
     /// By kind: how many, and the first in words.
     unused: BTreeMap<&'static str, (usize, String)>,
-    /// Those of the poses at which the robot knew where it was.
-    known: BTreeSet<Stamp>,
 }
 
 impl LocalizationSummary {
@@ -183,11 +185,8 @@ impl LocalizationSummary {
                 let pose = StampedPose { stamp: answer.stamp, pose: belief.map_from_base };
                 self.poses.push(pose);
                 self.elapsed.push(answer.elapsed);
-                if belief.is_localized() {
-                    self.localized += 1;
-                    self.known.insert(answer.stamp);
-                    self.found.get_or_insert(answer.stamp);
-                }
+                self.localized.extend(belief.is_localized().then_some(pose));
+                self.explained += belief.explained;
                 self.particles += belief.particles;
                 self.effective += belief.effective;
                 self.beams += belief.beams;
@@ -207,15 +206,38 @@ impl LocalizationSummary {
         &self.poses
     }
 
+    /// The part of it on which the robot knew where it was.
+    pub fn localized(&self) -> &[StampedPose] {
+        &self.localized
+    }
+
+    /// Part of the beams that the map explained where the robot was believed to be, on average.
+    pub fn explained(&self) -> f64 {
+        self.explained / self.poses.len().max(1) as f64
+    }
+
+    /// Why the robot cannot be said to have been localized, if so: it never was, or it was lost for most of the time since.
+    pub fn failure(&self) -> Option<String> {
+        let since = self.localized.first().map(|first| self.poses.iter().filter(|pose| pose.stamp >= first.stamp).count());
+        if since.is_some_and(|since| 2 * self.localized.len() >= since) {
+            return None;
+        }
+        let (percent, least) = (100.0 * self.explained(), 100.0 * Belief::LEAST_EXPLAINED);
+        Some(if self.explained() < Belief::LEAST_EXPLAINED {
+            format!(
+                "the robot was not localized: the map explains {percent:.0} % of the beams where it fits best, and the map of the place would \
+                 more than {least:.0} %. Is it the right map, and right in scale? If so, give --initial-pose, or a longer drive"
+            )
+        } else {
+            "the robot was not localized: several places of the map look like what it saw. Give --initial-pose, or a longer drive"
+                .into()
+        })
+    }
+
     /// Why scans were not used, and how many; empty if all were.
     pub fn unused(&self) -> String {
         let kinds: Vec<String> = self.unused.values().map(|(count, first)| format!("{count}: {first}")).collect();
         kinds.join("; ")
-    }
-
-    /// Whether the robot knew where it was at this time.
-    pub fn is_localized_at(&self, stamp: Stamp) -> bool {
-        self.known.contains(&stamp)
     }
 
     /// Particles, how many of them are effective, and beams.
@@ -231,17 +253,19 @@ impl LocalizationSummary {
     }
 
     fn seconds_to_find(&self) -> Option<f64> {
-        self.found.zip(self.poses.first()).map(|(found, first)| found.seconds_since(first.stamp))
+        self.localized.first().zip(self.poses.first()).map(|(found, first)| found.stamp.seconds_since(first.stamp))
     }
 
-    /// One JSON object. `errors` are those against the truth while localized, in the map: nothing is aligned.
+    /// One JSON object. `errors` are those against the truth, in the map, while the robot was localized: nothing is aligned.
     pub fn to_json(&self, errors: Option<&PoseErrors>, problems: &[String]) -> Value {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         json!({
             "scans": self.poses.len(),
             "passed_over": self.between,
-            "localized": self.localized,
+            "outcome": if self.failure().is_none() { "localized" } else { "not_localized" },
+            "localized": self.localized.len(),
             "localized_after_s": self.seconds_to_find(),
+            "mean_explained": self.explained(),
             "mean_particles": particles,
             "mean_effective_particles": effective,
             "mean_beams": beams,
@@ -270,7 +294,8 @@ impl LocalizationSummary {
             table.add_row(["unused", &format!("{count}: {code}, the first: {first}")]);
         }
         let found = self.seconds_to_find().map_or("never".into(), |seconds| format!("after {seconds:.2} s"));
-        table.add_row(["localized", &format!("{} scans, first {found}", self.localized)]);
+        table.add_row(["localized", &format!("{} scans, first {found}", self.localized.len())]);
+        table.add_row(["explained", &format!("{:.0} % of the beams by the map", 100.0 * self.explained())]);
         table.add_row(["particles", &format!("{particles:.0}, {effective:.0} of them effective; {beams:.0} beams")]);
         table.add_row(["time", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
         if self.late > 0 {

@@ -5,5 +5,6 @@
 mod accuracy;
 #[path = "../common/mod.rs"]
 mod common;
+mod localization;
 mod logs;
 mod odometry;

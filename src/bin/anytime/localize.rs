@@ -22,7 +22,7 @@ use clap::Args;
 
 use crate::input_flags::{Files, InputFlags};
 use crate::knob_flags::value;
-use crate::outcome::usage;
+use crate::outcome::{shown, usage};
 use crate::progress;
 
 /// Find the robot of a bag on a map, by a particle filter
@@ -115,20 +115,19 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     if let Some(csv) = csv {
         csv.into_sink().and_then(|mut file| file.commit()).context("cannot write the CSV file")?;
     }
-    let trajectory = Trajectory::new(summary.poses().to_vec())?;
-    let matched = truth.map(|truth| associate(&trajectory, &truth, Comparison::default().max_dt)).transpose()?;
-    let errors = matched.and_then(|mut matched| {
-        matched.retain(|pose| summary.is_localized_at(pose.stamp));
-        errors(&matched)
-    });
+    let localized = Some(summary.localized()).filter(|poses| !poses.is_empty());
+    let trajectory = localized.map(|poses| Trajectory::new(poses.to_vec())).transpose()?;
+    let matched = trajectory.zip(truth).map(|(trajectory, truth)| associate(&trajectory, &truth, Comparison::default().max_dt));
+    let matched = matched.transpose()?;
+    let errors = matched.and_then(|matched| errors(&matched));
     let mut problems: Vec<String> = bag.problems().iter().map(ToString::to_string).chain(log.problems).collect();
     problems.extend(reservations(&localizer));
-    let files = files(arguments, &config);
-    Ok(files.shown(
+    let text = files(arguments, &config).shown(
         arguments.json,
         || summary.to_json(errors.as_ref(), &problems),
         || summary.to_text(errors.as_ref(), &problems),
-    ))
+    );
+    shown(text, summary.failure())
 }
 
 /// What the user should know, each with its remedy.

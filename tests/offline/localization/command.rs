@@ -1,0 +1,44 @@
+//! `anytime localize`: what it says of good and bad maps.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+use crate::common::shared;
+
+const FOLDER: &str = env!("CARGO_MANIFEST_DIR");
+
+fn localize(bag: &Path, map: &Path, more: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_anytime"));
+    command.current_dir(FOLDER).arg("localize").arg(bag).arg("--map").arg(map).args(more);
+    command.output().unwrap()
+}
+
+#[test]
+fn rays_that_saw_nothing_are_no_walls() {
+    let Some(bag) = shared("cases/k1_nothing_seen_is_range_max.bag") else { return };
+    let truth = bag.with_file_name("truth").join("b270.tum");
+    let output = localize(&bag, Path::new("maps/corridor.yaml"), &["--json", "--truth", truth.to_str().unwrap()]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(summary["localized"] == 200 && summary["position_rmse_m"].as_f64().unwrap() <= 0.1, "{summary}");
+}
+
+#[test]
+fn a_map_of_another_place_is_told_and_the_exit_code_is_1() {
+    let Some(map) = shared("data/maps/skirk.yaml") else { return };
+    let files = tempfile::tempdir().unwrap();
+    let csv = files.path().join("scans.csv");
+    let few = ["--particles", "1000", "--set", "localization.global_particles=20000", "--truth", "bags/demo.tum"];
+    let output = localize(Path::new("bags/demo.bag"), &map, &[&few[..], &["--json", "--csv", csv.to_str().unwrap()]].concat());
+    assert_eq!(output.status.code(), Some(1));
+    let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(summary["outcome"] == "not_localized" && summary["mean_explained"].as_f64().unwrap() < 0.5, "{summary}");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("Is it the right map"), "{output:?}");
+    // What there is of figures is in the file all the same.
+    let mut rows = csv::Reader::from_path(&csv).unwrap();
+    let column = rows.headers().unwrap().iter().position(|name| name == "localized").unwrap();
+    let localized: Vec<bool> = rows.records().map(|row| &row.unwrap()[column] == "1").collect();
+    assert!(localized.len() == 400 && localized.iter().filter(|&&localized| localized).count() < 20);
+}

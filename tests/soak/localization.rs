@@ -1,0 +1,46 @@
+//! The particle filter on long drives: no false alarm, and how far off a real simulator's recording it is.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+use crate::common::shared;
+
+/// What the program says, as JSON.
+fn localize(bag: &Path, map: &Path, truth: &str, particles: u32) -> Value {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_anytime"));
+    command.arg("localize").arg(bag).arg("--map").arg(map).args(["--truth", truth, "--json"]);
+    let output = command.args(["--clock", "processor", "--particles", &particles.to_string()]).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+#[test]
+fn ten_drives_of_two_minutes_without_a_false_alarm() {
+    let folder = tempfile::tempdir().unwrap();
+    for seed in 1..=10 {
+        // Each map meets each number of particles.
+        let name = ["levine", "columbia", "skirk"][seed % 3];
+        let particles = [1000, 2000, 4000][(seed + seed / 3) % 3];
+        let Some(map) = shared(&format!("data/maps/{name}.yaml")) else { return };
+        let bag = folder.path().join("drive.bag");
+        let mut simulate = Command::new(env!("CARGO_BIN_EXE_anytime"));
+        simulate.args(["simulate", "--duration", "120s", "--seed", &seed.to_string()]).arg("--world").arg(&map);
+        assert!(simulate.arg("--out").arg(&bag).output().unwrap().status.success());
+        let summary = localize(&bag, &map, "/gt_pose", particles);
+        println!("{name}, {particles} particles, seed {seed}: {summary}");
+        assert_eq!(summary["localized"], summary["scans"], "{name}, {particles} particles, seed {seed}: {summary}");
+        assert!(summary["position_max_m"].as_f64().unwrap() < 0.3, "{summary}");
+    }
+}
+
+#[test]
+fn a_recording_of_racecar_simulator_whose_ranges_are_up_to_5_cm_off() {
+    let (Some(bag), Some(map)) = (shared("data/racecar-levine/racecar-levine.bag"), shared("data/maps/levine.yaml")) else {
+        return;
+    };
+    let summary = localize(&bag, &map, bag.with_file_name("truth.tum").to_str().unwrap(), 4000);
+    println!("{summary}");
+    assert!(summary["position_rmse_m"].as_f64().unwrap() <= 0.05 && summary["localized"] == summary["scans"], "{summary}");
+}
