@@ -58,11 +58,15 @@ impl MotionState {
         // Errors of the pose are seen from its end, where the way there leads elsewhere by an error of the heading before.
         let back = turn(-motion.theta);
         let by_pose = back * way_by_heading(motion.translation());
+        // An error of the turn's rate becomes one of the heading on the way, and is felt from the middle of it on.
+        let by_twist = turn(-0.5 * motion.theta) * way_by_heading(0.5 * motion.translation()) * seconds;
         let mut by_state = Matrix6::identity();
         by_state.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_pose);
-        by_state.fixed_view_mut::<3, 3>(0, 3).copy_from(&(turn(-0.5 * motion.theta) * seconds));
-        let noise = white_noise();
-        let added = blocks(&(noise * (seconds.powi(3) / 3.0)), &(noise * (seconds.powi(2) / 2.0)), &(noise * seconds));
+        by_state.fixed_view_mut::<3, 3>(0, 3).copy_from(&by_twist);
+        // What noise does to the heading, it does later: for white noise, 3/8 of the way is left then.
+        let (noise, late) = (white_noise(), way_by_heading(0.375 * motion.translation()));
+        let of_pose = late * noise * late.transpose() * (seconds.powi(3) / 3.0);
+        let added = blocks(&of_pose, &(late * noise * (seconds.powi(2) / 2.0)), &(noise * seconds));
         let covariance = by_state * self.covariance * by_state.transpose() + added;
         let mut state = Self { twist, covariance };
         if !is_known {

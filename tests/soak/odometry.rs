@@ -107,6 +107,27 @@ fn motion_during_the_sweep_is_taken_out() {
     assert!(told < without / 3.0, "{told} {without}");
 }
 
+/// A prediction is as good after a thousandth of a second as after a twentieth.
+#[test]
+fn scans_alone_will_do_at_any_rate() {
+    for (rate, seconds) in [(20.0, 20.0), (40.0, 20.0), (100.0, 20.0), (200.0, 12.0), (1000.0, 6.0)] {
+        let mut settings = settings(6.0, 0.0);
+        (settings.lidar.rate, settings.drive.duration) = (rate, Seconds(seconds));
+        let (mut app, mut answers) = (app(&[]), Vec::new());
+        drive(&settings, |truth, message| match message {
+            SimulatedMessage::Mount(mount) => app.on_transforms(&mount).unwrap(),
+            SimulatedMessage::Scan(scan) => {
+                answers.push((truth, app.on_scan(&scan, Duration::ZERO).registration));
+                app.maintain(&Never);
+            }
+            SimulatedMessage::Odometry(_) | SimulatedMessage::Truth { .. } => {}
+        });
+        let error = error(&answers);
+        println!("6 m/s by scans alone at {rate} Hz: {error:.4} m");
+        assert!(error < 0.01, "{rate} Hz: {error}");
+    }
+}
+
 #[test]
 fn one_scan_in_five_may_be_lost() {
     let mut settings = settings(3.0, 0.0);
