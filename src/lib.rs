@@ -34,6 +34,7 @@
 //! | [`evaluation`] | ATE, RPE, relations, plots |
 //! | [`anytime`] | contracts, clocks, and refining until the contract ends |
 //! | [`odometry`] | predict, match, keep the map of keyframes: one scan to one pose |
+//! | [`control`] | follows paths, and chooses contracts |
 //! | [`localization`] | a particle filter: where on a map |
 //! | [`io`] | bags, CARMEN logs, trajectories, relations, maps |
 //! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |
@@ -59,6 +60,7 @@ pub mod app;
 pub mod cloud;
 #[cfg(feature = "cli")]
 pub mod config;
+pub mod control;
 pub mod evaluation;
 pub mod geometry;
 #[cfg(feature = "cli")]

@@ -11,7 +11,7 @@ const LAYERS: [&[&str]; 12] = [
     &["scan", "transforms", "shared_memory"],
     &["matching", "simulation", "evaluation", "cloud"],
     &["anytime"],
-    &["odometry", "io"],
+    &["odometry", "io", "control"],
     &["localization"],
     &["config"],
     &["app"],
