@@ -41,6 +41,7 @@
 //! | [`app`] | messages in, estimates out |
 //! | [`replay`], `ros` | a bag, or a live graph, through the application |
 //! | [`profile`] | many replays: delay against error |
+//! | [`drive`](mod@drive) | the closed loop offline: simulator, estimator and follower on a modelled processor |
 //!
 //! # What always holds
 //!
@@ -61,6 +62,8 @@ pub mod cloud;
 #[cfg(feature = "cli")]
 pub mod config;
 pub mod control;
+#[cfg(feature = "cli")]
+pub mod drive;
 pub mod evaluation;
 pub mod geometry;
 #[cfg(feature = "cli")]

@@ -332,6 +332,11 @@ impl Localizer {
         Ok(())
     }
 
+    /// Another contract; in force from the next scan on.
+    pub fn set_contract(&mut self, contract: Contract) {
+        self.contract = contract;
+    }
+
     /// The contract in force.
     pub fn contract(&self) -> Contract {
         self.contract

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// From the bottom up. Modules of one layer do not know each other.
-const LAYERS: [&[&str]; 12] = [
+const LAYERS: [&[&str]; 13] = [
     &["time", "geometry", "quantile", "parallel", "output"],
     &["knobs", "map"],
     &["messages", "raycasting"],
@@ -17,6 +17,7 @@ const LAYERS: [&[&str]; 12] = [
     &["app"],
     &["replay", "ros"],
     &["profile"],
+    &["drive"],
 ];
 
 fn rust_files(folder: &Path) -> Vec<PathBuf> {

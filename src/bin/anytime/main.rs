@@ -3,6 +3,7 @@
 
 mod configuration;
 mod convert;
+mod drive;
 mod evaluate;
 mod info;
 mod input_flags;
@@ -40,6 +41,7 @@ enum Command {
     Simulate(Box<simulate::Arguments>),
     Evaluate(evaluate::Arguments),
     Convert(convert::Arguments),
+    Drive(Box<drive::Arguments>),
 }
 
 fn main() -> ExitCode {
@@ -51,6 +53,7 @@ fn main() -> ExitCode {
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
+        Command::Drive(arguments) => drive::run(&arguments),
     };
     match outcome {
         Ok(text) => print(&text),
