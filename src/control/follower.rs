@@ -269,6 +269,11 @@ impl Follower {
         }
     }
 
+    /// Where the car is at a time, as far as that is known.
+    pub fn pose_at(&self, now: Stamp) -> Option<Pose2> {
+        self.motion(now).map(|motion| motion.pose)
+    }
+
     /// The car when the command acts.
     fn motion(&self, acts: Stamp) -> Option<Motion> {
         let PoseReading { stamp, pose, speed, .. } = self.pose?;

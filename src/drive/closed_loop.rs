@@ -9,6 +9,7 @@ use rand_pcg::Pcg64;
 use super::course::Course;
 use super::estimator::{Answer, Estimator, Times};
 use super::figures::{Ending, Run, Trace};
+use super::flaws::{CarFlaws, FlawKnobs};
 use super::processor::{Load, Processor};
 use super::replanning::{Planner, Replanning, step_aside};
 use super::{DriveError, EstimatorKind};
@@ -50,6 +51,7 @@ pub(super) struct Setup<'a> {
     pub(super) follower: FollowerKnobs,
     pub(super) lidar: LidarKnobs,
     pub(super) odometer: OdometerKnobs,
+    pub(super) flaws: FlawKnobs,
     pub(super) costs: CostModel,
     pub(super) load: Load,
     pub(super) policy: Policy,
@@ -90,6 +92,7 @@ pub(super) fn drive(setup: &Setup) -> Result<Run, DriveError> {
     let mut car = Car::new(setup.course.world.as_ref(), &vehicle, start);
     let mut lidar = Lidar::new(&setup.lidar, random(1));
     let mut odometer = Odometer::new(&setup.odometer, start, random(2));
+    let flaws = CarFlaws::draw(&setup.flaws, vehicle.wheelbase, random(4));
     let mut drive = Loop::new(setup, start)?;
     let mut truth = Progress::new(setup.course.path.clone(), START);
     let mut planner = setup.replanning.map(|how| Planner::new(how, &setup.course.path));
@@ -125,7 +128,7 @@ pub(super) fn drive(setup: &Setup) -> Result<Run, DriveError> {
             }
             due > now
         });
-        car.step(command, TICK as f64 * 1e-3);
+        car.step(flaws.done(command), TICK as f64 * 1e-3);
         if now % LOOK_PERIOD == 0 {
             drive.run.look(now, truth.look(&pose, 0.5), &pose);
         }

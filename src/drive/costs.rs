@@ -19,7 +19,7 @@ const SCAN_MATCHER: [(&str, u32, f64); 9] = [
     ("closing", 1024, 6.0),
 ];
 /// Phase, particles or beams cast from all of them, us. 2.3 ms for 4000 particles and 60 beams (README, Localization on a map).
-const PARTICLE_FILTER: [(&str, u32, f64); 3] = [("setup", 4096, 60.0), ("iteration", 65536, 629.0), ("closing", 4096, 60.0)];
+const PARTICLE_FILTER: [(&str, u32, f64); 3] = [("setup", 64, 0.94), ("iteration", 64, 0.61), ("closing", 64, 0.94)];
 
 /// The costs of an estimator: those of the file, if there is one.
 pub(super) fn of(kind: EstimatorKind, file: Option<&Path>, confidence: f64) -> Result<CostModel, DriveError> {

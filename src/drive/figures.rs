@@ -256,7 +256,8 @@ fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
 }
 
 fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len().max(1) as f64
+    // + 0.0: the sum of nothing is -0.
+    values.iter().sum::<f64>() / values.len().max(1) as f64 + 0.0
 }
 
 /// The least value that so large a share does not exceed.

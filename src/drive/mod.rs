@@ -14,6 +14,7 @@ mod costs;
 pub mod course;
 mod estimator;
 pub mod figures;
+pub mod flaws;
 mod page;
 mod pictures;
 pub mod processor;

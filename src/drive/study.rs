@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use super::closed_loop::{Setup, drive};
 use super::course::Course;
 use super::figures::{Figures, Run, endings};
+use super::flaws::FlawKnobs;
 use super::processor::Load;
 use super::replanning::Replanning;
 use super::{DriveError, EstimatorKind, costs, page, pictures, profiling};
@@ -58,6 +59,8 @@ pub struct Study<'a> {
     pub lidar: LidarKnobs,
     /// Of the odometry.
     pub odometer: OdometerKnobs,
+    /// Of the car.
+    pub flaws: FlawKnobs,
     /// The costs of the machine; `None`: as built in.
     pub costs: Option<PathBuf>,
     /// Paths that come late; `None`: the path is there from the start.
@@ -107,6 +110,7 @@ impl Study<'_> {
             follower: FollowerKnobs { speed: case.speed, ..self.follower.clone() },
             lidar: self.lidar.clone(),
             odometer: self.odometer.clone(),
+            flaws: self.flaws.clone(),
             costs: costs::of(self.estimator, self.costs.as_deref(), self.config.contract.confidence)?,
             load: case.load,
             policy: case.policy.clone(),
@@ -150,6 +154,15 @@ impl Study<'_> {
             ("law", self.follower.law.name().into()),
             ("laps, seeds", format!("{} laps, seeds 1 to {}", self.laps, self.seeds)),
             ("laser", format!("{} beams at {} Hz", self.lidar.beams, self.lidar.rate)),
+            (
+                "flaws of the car, standard deviations",
+                format!(
+                    "steering {} deg and {} %, speed {} %",
+                    self.flaws.steering_offset,
+                    100.0 * self.flaws.steering_scale,
+                    100.0 * self.flaws.speed_scale
+                ),
+            ),
             ("costs", self.costs.as_ref().map_or("built in".into(), |path| path.display().to_string())),
             (
                 "late paths",

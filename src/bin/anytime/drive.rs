@@ -10,16 +10,17 @@ use anytime_scan_matcher::control::laws::Law;
 use anytime_scan_matcher::control::policy::Policy;
 use anytime_scan_matcher::drive::EstimatorKind;
 use anytime_scan_matcher::drive::course::Course;
+use anytime_scan_matcher::drive::flaws::FlawKnobs;
 use anytime_scan_matcher::drive::processor::Load;
 use anytime_scan_matcher::drive::study::{Late, Study, to_text};
-use anytime_scan_matcher::knobs::{KnobGroup as _, KnobValue, Seconds};
+use anytime_scan_matcher::knobs::{KnobGroup as _, KnobValue, Seconds, Value};
 use anytime_scan_matcher::simulation::lidar::LidarKnobs;
 use anytime_scan_matcher::simulation::odometer::OdometerKnobs;
 use clap::Args;
 
 use crate::configuration::Configuration;
 use crate::input_flags::Files;
-use crate::knob_flags::{help, value};
+use crate::knob_flags::{help, set, value};
 use crate::outcome::usage;
 use crate::progress;
 
@@ -67,6 +68,12 @@ pub(crate) struct Arguments {
     /// Length of its paths, m
     #[arg(long, default_value_t = 40.0)]
     horizon: f64,
+    #[arg(long, value_parser = value, help = help::<FlawKnobs>("steering_offset"))]
+    steering_offset: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<FlawKnobs>("steering_scale"))]
+    steering_scale: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<FlawKnobs>("speed_scale"))]
+    speed_scale: Option<Value>,
     /// Beams of the laser
     #[arg(long, default_value_t = LidarKnobs::default().beams)]
     beams: u32,
@@ -113,6 +120,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         follower: follower(arguments)?,
         lidar: LidarKnobs { beams: arguments.beams.clamp(10, 10_000), ..LidarKnobs::default() },
         odometer: OdometerKnobs::default(),
+        flaws: flaws(arguments)?,
         costs: arguments.costs.clone(),
         replanning: replanning(arguments)?,
         laps: arguments.laps,
@@ -150,6 +158,14 @@ fn follower(arguments: &Arguments) -> anyhow::Result<FollowerKnobs> {
     if let Some(speed) = arguments.speed.iter().find(|speed| !(0.1..=20.0).contains(*speed)) {
         return Err(usage(format!("--speed {speed}: expected 0.1 to 20")));
     }
+    Ok(knobs)
+}
+
+fn flaws(arguments: &Arguments) -> anyhow::Result<FlawKnobs> {
+    let mut knobs = FlawKnobs::default();
+    set(&mut knobs, "steering_offset", arguments.steering_offset.as_ref())?;
+    set(&mut knobs, "steering_scale", arguments.steering_scale.as_ref())?;
+    set(&mut knobs, "speed_scale", arguments.speed_scale.as_ref())?;
     Ok(knobs)
 }
 
