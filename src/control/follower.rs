@@ -18,7 +18,7 @@ knobs! {
     /// How a path is followed, and by what car.
     pub struct FollowerKnobs {
         /// How the car is steered.
-        law: Law = Law::PurePursuit;
+        law: Law = Law::Stanley;
         /// Top speed; a path with speeds may ask for less, and curves do.
         speed: f64 = 2.0, in 0.1 to 20, unit "m/s";
         /// Lateral acceleration in curves, which limits the speed there.

@@ -13,8 +13,9 @@ use crate::map::grid::{Cell, OccupancyGrid};
 use crate::simulation::built_in::BuiltIn;
 use crate::simulation::grid_world::GridWorld;
 use crate::simulation::marched_world::MarchedWorld;
-use crate::simulation::planner::{MARGIN, NoLoop, find_loop};
+use crate::simulation::planner::{MARGIN, NoLoop};
 use crate::simulation::route::Route;
+use crate::simulation::scene::way_round;
 use crate::simulation::world::World;
 
 /// Farthest beam of the laser, m.
@@ -97,7 +98,10 @@ type Ground = (Box<dyn World + Send + Sync>, Option<OccupancyGrid>, Path);
 
 fn of_built_in(which: BuiltIn, path: Option<&FilePath>) -> Result<Ground, DriveError> {
     let (world, corners) = which.draw();
-    let path = path.map_or_else(|| planned(&corners, &world), read)?;
+    let path = match path {
+        Some(path) => read(path)?,
+        None => of_route(&Route::smooth(&corners, &world, MARGIN).ok_or(NoLoop::NothingToGoRound)?)?,
+    };
     Ok((Box::new(world), None, path))
 }
 
@@ -106,14 +110,13 @@ fn of_map(map: OccupancyGrid, path: Option<&FilePath>) -> Result<Ground, DriveEr
         Some(path) => read(path)?,
         None => {
             let world = GridWorld::new(map.clone());
-            planned(&find_loop(&world)?, &world)?
+            of_route(&way_round(&world)?)?
         }
     };
     Ok((Box::new(MarchedWorld::new(map.clone(), MAX_RANGE)), Some(map), path))
 }
 
-fn planned(corners: &[Point], world: &dyn World) -> Result<Path, DriveError> {
-    let route = Route::smooth(corners, world, MARGIN).ok_or(NoLoop::NothingToGoRound)?;
+fn of_route(route: &Route) -> Result<Path, DriveError> {
     let waypoints: Vec<_> = route.points().iter().map(|&point| Waypoint { point, speed: None }).collect();
     // A route has three points at least, a step apart.
     Path::new(&waypoints, true).map_err(|problem| DriveError::Path { path: "the planned path".into(), problem })

@@ -12,6 +12,7 @@ mod contract;
 mod convert;
 mod correspondences;
 mod covariance;
+mod drive;
 mod evaluation;
 mod fuzz;
 mod layers;

@@ -42,7 +42,7 @@ pub(crate) struct Arguments {
     /// Where the poses come from: `truth`, `scan_matcher` or `particle_filter`
     #[arg(long, default_value = "scan_matcher", value_parser = |text: &str| EstimatorKind::from_value(&text.into()))]
     estimator: EstimatorKind,
-    #[arg(long, default_value = "pure_pursuit", value_parser = |text: &str| Law::from_value(&text.into()), help = help::<FollowerKnobs>("law"))]
+    #[arg(long, default_value = FollowerKnobs::default().law.name(), value_parser = |text: &str| Law::from_value(&text.into()), help = help::<FollowerKnobs>("law"))]
     law: Law,
     /// How contracts are chosen: `completion`, `iterations:N`, `fixed:TIME[,METRES]`, `table`, `oracle`; several may be given
     #[arg(long, default_value = "completion")]

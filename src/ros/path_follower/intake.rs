@@ -16,7 +16,8 @@ use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::scan::ScanConverter;
 use crate::simulation::grid_world::GridWorld;
-use crate::simulation::planner::find_way;
+use crate::simulation::planner::{NoLoop, find_way};
+use crate::simulation::scene::way_round;
 use crate::time::Stamp;
 use crate::transforms::{TransformTree, frame_name};
 
@@ -130,6 +131,16 @@ impl Intake {
             }
             Err(problem) => Some(Remark::Warning(format!("path: {problem}: the car stops"))),
         }
+    }
+
+    /// The map to plan on. With `drive_round`, a way round it is the path, older than any that comes.
+    pub(super) fn set_map(&mut self, grid: crate::map::grid::OccupancyGrid) -> Result<Option<Remark>, NoLoop> {
+        let world = GridWorld::new(grid);
+        let way = if self.knobs.drive_round { Some(way_round(&world)?) } else { None };
+        self.world = Some(Arc::new(world));
+        let Some(way) = way else { return Ok(None) };
+        let waypoints: Vec<_> = way.points().iter().map(|&point| Waypoint { point, speed: None }).collect();
+        Ok(self.take(&waypoints, Stamp::default()))
     }
 
     pub(super) fn on_map(&mut self, message: &OccupancyGrid) -> Result<(), String> {

@@ -25,6 +25,10 @@ crate::knobs! {
     pub struct PathFollowerKnobs {
         /// A CSV file of waypoints x, y[, speed], in the map's frame, to be followed from the start; unset: paths come by topic.
         path_file: Option<String> = None;
+        /// The YAML file of a map to plan on; unset: the map of the topic `map`.
+        map_file: Option<String> = None;
+        /// Whether to plan a way round the map of `map_file` and follow it until another path comes.
+        drive_round: bool = false;
         /// The frame of the waypoints of `path_file`, and of the map.
         map_frame: String = "map".into();
         /// The robot's frame.

@@ -15,6 +15,7 @@ use crate::anytime::timer::Timer;
 use crate::control::follower::{Follower, Step};
 use crate::control::safety::StopReason;
 use crate::control::waypoint_file;
+use crate::io::map_file;
 use crate::messages::Message;
 use crate::messages::ackermann_msgs::AckermannDriveStamped;
 use crate::messages::geometry_msgs::PoseStamped;
@@ -137,6 +138,10 @@ impl<'a> Node<'a> {
         ));
         let period = Duration::from_secs_f64(node.rate.recip());
         let mut intake = Intake::new(Follower::new(follower), node.clone());
+        if let Some(file) = &node.map_file {
+            let remark = intake.set_map(map_file::read(std::path::Path::new(file))?)?;
+            tell(remark, &log);
+        }
         if let Some(file) = &node.path_file {
             read_path(ros.name(), file, &mut intake, &log)?;
         }
@@ -291,10 +296,17 @@ fn read_path(node: &str, file: &str, intake: &mut Intake, log: &Log) -> Result<(
     let waypoints = waypoint_file::parse(&text).map_err(|problem| refused(problem.to_string()))?;
     match intake.take(&waypoints, Stamp::default()) {
         Some(Remark::Warning(problem)) => Err(refused(problem)),
-        Some(Remark::Info(text)) => {
-            log.info(&text);
+        remark => {
+            tell(remark, log);
             Ok(())
         }
-        None => Ok(()),
+    }
+}
+
+fn tell(remark: Option<Remark>, log: &Log) {
+    match remark {
+        None => {}
+        Some(Remark::Info(text)) => log.info(&text),
+        Some(Remark::Warning(text)) => log.warn(&text),
     }
 }
