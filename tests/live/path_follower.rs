@@ -1,21 +1,24 @@
 //! The follower beside the built-in simulator.
 
-use std::fs::{self, File};
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anytime_scan_matcher::app::planar_pose;
 use anytime_scan_matcher::control::path::Projection;
 use anytime_scan_matcher::drive::course::Course;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;
-use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
+use anytime_scan_matcher::messages::nav_msgs::{Odometry, Path as PathMessage};
 use anytime_scan_matcher::messages::own::FollowerReport;
 
-use crate::common::graph::{Graph, PACKAGE, Process, eventually, within};
+use anytime_scan_matcher::time::Stamp;
+
+use crate::common::drive::pose_message;
+use crate::common::graph::{Graph, PACKAGE, Process, within};
 use crate::common::skipped::skip;
+use crate::common::wire::say;
 
 /// The car touches a wall when it is this near to the middle of its rear axle, m.
 const GIRTH: f64 = 0.2;
@@ -97,53 +100,41 @@ fn two_laps_at_four_metres_a_second_without_a_touch() {
 }
 
 #[test]
-fn it_follows_goals_stops_when_poses_end_and_starts_again() {
+fn it_drives_to_goals_and_lives_with_paths_nobody_should_send() {
     let Some(graph) = Graph::start() else { return };
     let start = Pose2::new(0.0, -6.1, 0.0);
     let launch = launch(&graph, &corridor(), &start, &["speed:=2", "estimator:=truth", "path:=none"]);
     launch.expect_log("stands: no path");
-    let goal = "{header: {frame_id: map}, pose: {position: {x: 6.0, y: -5.9}, orientation: {w: 1.0}}}";
-    let mut publisher = graph.spawn("rostopic", &["pub", "-1", "/move_base_simple/goal", "geometry_msgs/PoseStamped", goal]);
+    launch.expect_log("simulates a racecar");
+    thread::sleep(Duration::from_secs(3)); // poses and /tf come
+    let mut goal = PoseStamped { pose: pose_message(Pose2::new(6.0, -5.9, 0.0)), ..PoseStamped::default() };
+    goal.header.frame_id = "map".into();
+    say(&graph, "/move_base_simple/goal", &goal, 1);
     launch.expect_log("drives");
     launch.expect_log("stands: arrived");
-    publisher.exit_code(Duration::from_secs(20));
     let drive = record(&graph, 1);
     let end = drive.truth.last().unwrap();
     assert!((end.x - 6.0).hypot(end.y + 5.9) < 0.15, "{end:?}");
     assert!(drive.reports.iter().all(|report| report.reason == "arrived" && report.speed == 0.0));
     // Paths with holes, NaN, of one point and in an unknown frame, then a good one.
-    let script = graph.dir.path().join("paths.py");
-    File::create(&script).and_then(|mut file| file.write_all(PATHS.as_bytes())).unwrap();
-    let mut paths = graph.spawn("/usr/bin/python3", &[script.to_str().unwrap()]);
-    launch.expect_log("refused: point 1 of the path is not finite");
-    launch.expect_log("/tf does not say how they lie");
-    launch.expect_log("the path has no length");
+    let nan = f64::NAN;
+    let send = |frame: &str, points: &[(f64, f64)], words: &str| {
+        say(&graph, "/path", &path(frame, points), 1);
+        launch.expect_log(words);
+        thread::sleep(Duration::from_secs(1)); // of each subject one line a second is said
+    };
+    send("map", &[(6.0, -5.9), (nan, 0.0), (9.0, -5.9)], "refused: point 1 of the path is not finite");
+    send("moon", &[(6.0, -5.9), (9.0, -5.9)], "/tf does not say how they lie");
+    send("map", &[(6.0, -5.9)], "the path has no length");
+    send("base_link", &[(0.0, 0.0), (0.5, 0.0), (2.5, 0.0)], "drives");
     assert!(within(Duration::from_secs(20), || launch.log().matches("stands: arrived").count() >= 2), "{}", launch.log());
-    paths.exit_code(Duration::from_secs(20));
-    assert!(eventually(|| fs::metadata(&script).is_ok()));
 }
 
-/// Publishes paths nobody should send, and one, in another frame, that is to be followed: 3 m on.
-const PATHS: &str = r"
-import rospy
-from nav_msgs.msg import Path
-from geometry_msgs.msg import PoseStamped
-rospy.init_node('paths')
-publisher = rospy.Publisher('/path', Path, queue_size=1)
-def send(frame, points):
-    path = Path()
-    path.header.stamp = rospy.Time.now()
-    path.header.frame_id = frame
-    for x, y in points:
-        pose = PoseStamped()
-        pose.pose.position.x, pose.pose.position.y, pose.pose.orientation.w = x, y, 1
-        path.poses.append(pose)
-    publisher.publish(path)
-    rospy.sleep(1.2)
-while publisher.get_num_connections() == 0: rospy.sleep(0.05)
-send('map', [(6, -5.9), (float('nan'), 0), (9, -5.9)])
-send('moon', [(6, -5.9), (9, -5.9)])
-send('map', [(6, -5.9)])
-send('base_link', [(0, 0), (0.5, 0), (3, 0)])
-rospy.sleep(2)
-";
+fn path(frame: &str, points: &[(f64, f64)]) -> PathMessage {
+    let mut path = PathMessage::default();
+    path.header.frame_id = frame.into();
+    path.header.stamp = Stamp::from_seconds(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()).into();
+    let pose = |&(x, y): &(f64, f64)| PoseStamped { pose: pose_message(Pose2::new(x, y, 0.0)), ..PoseStamped::default() };
+    path.poses = points.iter().map(pose).collect();
+    path
+}
