@@ -450,8 +450,10 @@ mod tests {
     fn waypoints_with_speed_zero_do_not_stall_the_start() {
         let mut drive = Drive::new(FollowerKnobs::default());
         let speeds = [0.0, 0.0, 1.0, 1.5, 0.0];
-        let points: Vec<_> =
-            (0..5).map(|i| Waypoint { point: Point::new(f64::from(i), 0.0), speed: Some(speeds[i as usize]) }).collect();
+        let points: Vec<_> = (0_u32..)
+            .zip(speeds)
+            .map(|(i, speed)| Waypoint { point: Point::new(f64::from(i), 0.0), speed: Some(speed) })
+            .collect();
         drive.follower.on_path(&points, Stamp::from_seconds(100.0)).unwrap();
         drive.run(8.0);
         assert!((drive.pose.x - 4.0).abs() < 0.06, "{:?}", drive.pose);
@@ -535,7 +537,7 @@ mod tests {
         let mut drive = Drive::new(FollowerKnobs { speed: 7.0, ..FollowerKnobs::default() });
         let wave = |x: f64| 2.0 * (0.15 * x).sin();
         let planned = |x: f64| (0..=300).map(|i| x + 0.1 * f64::from(i)).map(|x| (x, wave(x))).collect::<Vec<_>>();
-        let mut waiting: Vec<(f64, f64, Vec<(f64, f64)>)> = Vec::new();
+        let mut waiting = Vec::new();
         drive.pose = Pose2::new(0.0, 0.0, 0.3);
         drive.give(&planned(0.0), 100.0).unwrap();
         for tick in 0..600_u32 {

@@ -274,8 +274,10 @@ pub(super) mod tests {
     #[test]
     fn a_speed_of_zero_is_none() {
         let speeds = [0.0, 0.0, 2.0, f64::NAN, 3.0, 0.0];
-        let points: Vec<_> =
-            (0..6).map(|i| Waypoint { point: Point::new(f64::from(i), 0.0), speed: Some(speeds[i as usize]) }).collect();
+        let points: Vec<_> = (0_u32..)
+            .zip(speeds)
+            .map(|(i, speed)| Waypoint { point: Point::new(f64::from(i), 0.0), speed: Some(speed) })
+            .collect();
         let read: Vec<_> = Path::new(&points, false).unwrap().waypoints().iter().map(|w| w.speed).collect();
         assert_eq!(read, [Some(2.0), Some(2.0), Some(2.0), Some(3.0), Some(3.0), None]);
     }

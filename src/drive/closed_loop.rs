@@ -76,7 +76,7 @@ struct Loop<'a> {
     /// Answers that are not ready yet.
     answers: Vec<Answer>,
     free: Duration,
-    /// Work on a whole answer, as a moving mean.
+    /// Work on a whole answer without bursts, as a moving mean.
     whole: Duration,
     step: Option<Step>,
     run: Run,
@@ -105,12 +105,12 @@ pub(super) fn drive(setup: &Setup) -> Result<Run, DriveError> {
     let mut command = Command::default();
     let mut came_on = (0, 0.0);
     let goal = f64::from(setup.laps) * setup.course.path.length();
-    for now in (0..).step_by(1) {
+    for now in 0_u64.. {
         let pose = car.map_from_base();
-        if now % odometry_period == 0 {
+        if now.is_multiple_of(odometry_period) {
             drive.estimator.on_odometry(&odometer.read(pose, at(now)));
         }
-        if now % scan_period == 0 {
+        if now.is_multiple_of(scan_period) {
             let scan = lidar.scan(|_| setup.course.world.as_ref(), |_| pose, at(now));
             drive.send(Sent { arrival: now + SCAN_LATENCY, scan, truth: (pose, car.twist().vx) });
         }
@@ -119,7 +119,7 @@ pub(super) fn drive(setup: &Setup) -> Result<Run, DriveError> {
         if let Some((path, planned)) = planner.as_mut().and_then(|planner| planner.tick(now, &pose)) {
             drive.replan(path, at(planned), &pose);
         }
-        if now % COMMAND_PERIOD == 0 {
+        if now.is_multiple_of(COMMAND_PERIOD) {
             acting.push((now + delay(&setup.follower), drive.command(now)));
         }
         acting.retain(|&(due, given)| {
@@ -129,7 +129,7 @@ pub(super) fn drive(setup: &Setup) -> Result<Run, DriveError> {
             due > now
         });
         car.step(flaws.done(command), TICK as f64 * 1e-3);
-        if now % LOOK_PERIOD == 0 {
+        if now.is_multiple_of(LOOK_PERIOD) {
             drive.run.look(now, truth.look(&pose, 0.5), &pose);
         }
         let driven = truth.driven();
@@ -206,8 +206,7 @@ impl<'a> Loop<'a> {
         self.free = answer.free;
         if answer.is_whole {
             let rest = if self.whole.is_zero() { 1.0 } else { SMOOTHING };
-            let work = answer.work.div_f64(self.setup.load.slowdown);
-            self.whole = self.whole.mul_f64(1.0 - rest) + work.mul_f64(rest);
+            self.whole = self.whole.mul_f64(1.0 - rest) + answer.work.mul_f64(rest);
         }
         self.run.add_answer(&answer, times, &truth.0);
         self.answers.push(answer);
@@ -219,7 +218,8 @@ impl<'a> Loop<'a> {
         let along = self.step.and_then(|step| step.place).map_or(0.0, |place| place.along);
         let room = self.setup.course.clearance(along, lookahead) - 0.5 * self.setup.follower.width;
         let period = Duration::from_millis(scan_period);
-        Situation { speed, lookahead, clearance: room, period, load: self.setup.load.at(time), whole: self.whole }
+        let whole = self.setup.load.done(time, self.whole).saturating_sub(time);
+        Situation { speed, lookahead, clearance: room, period, whole }
     }
 
     fn deliver(&mut self, now: u64) {
@@ -264,7 +264,7 @@ impl Run {
     fn look(&mut self, now: u64, place: Option<crate::control::path::Projection>, pose: &Pose2) {
         let Some(place) = place else { return };
         self.add_error(place.distance);
-        if now % (5 * LOOK_PERIOD) == 0 {
+        if now.is_multiple_of(5 * LOOK_PERIOD) {
             self.trace.push(Trace { point: Point::new(pose.x, pose.y), error: place.distance });
         }
     }

@@ -106,13 +106,7 @@ fn of_built_in(which: BuiltIn, path: Option<&FilePath>) -> Result<Ground, DriveE
 }
 
 fn of_map(map: OccupancyGrid, path: Option<&FilePath>) -> Result<Ground, DriveError> {
-    let path = match path {
-        Some(path) => read(path)?,
-        None => {
-            let world = GridWorld::new(map.clone());
-            of_route(&way_round(&world)?)?
-        }
-    };
+    let path = path.map_or_else(|| of_route(&way_round(&GridWorld::new(map.clone()))?), read)?;
     Ok((Box::new(MarchedWorld::new(map.clone(), MAX_RANGE)), Some(map), path))
 }
 

@@ -1,5 +1,7 @@
 //! The report: one page of HTML with everything in it.
 
+use std::fmt::Write as _;
+
 use super::study::{HEADER, Outcome, Study, row};
 use crate::profile::html::{STYLE, escaped, table};
 
@@ -12,8 +14,8 @@ const MEANING: &str = "Errors are distances of the true rear axle from the path.
 
 /// The page, with pictures and their titles.
 pub(super) fn report(study: &Study, outcomes: &[Outcome], pictures: &[(String, String)]) -> String {
-    let facts: String =
-        study.facts().iter().map(|(name, value)| format!("<tr><td>{name}</td><td>{}</td></tr>\n", escaped(value))).collect();
+    let fact = |(name, value): &(&str, String)| format!("<tr><td>{name}</td><td>{}</td></tr>\n", escaped(value));
+    let facts = study.facts().iter().map(fact).collect::<Vec<_>>().concat();
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
          <title>Drives in {0}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>The closed loop: drives in {0}</h1>\n<pre>{1}</pre>\n\
@@ -23,7 +25,7 @@ pub(super) fn report(study: &Study, outcomes: &[Outcome], pictures: &[(String, S
         table(&HEADER, outcomes.iter().map(row)),
     );
     for (title, svg) in pictures {
-        page += &format!("<h2>{}</h2>\n<figure>\n{svg}</figure>\n", escaped(title));
+        let _ = write!(page, "<h2>{}</h2>\n<figure>\n{svg}</figure>\n", escaped(title));
     }
     page + "</body>\n</html>\n"
 }

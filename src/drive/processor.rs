@@ -31,13 +31,8 @@ impl Load {
         (factor, time + Duration::from_nanos(u64::try_from(left).unwrap_or(u64::MAX)))
     }
 
-    /// How much slower than the costs say the machine is at a time.
-    pub fn at(&self, time: Duration) -> f64 {
-        self.slowdown * self.burst_at(time).0
-    }
-
     /// When work that takes `alone` without bursts, begun at `start`, is done.
-    fn done(&self, start: Duration, alone: Duration) -> Duration {
+    pub(super) fn done(&self, start: Duration, alone: Duration) -> Duration {
         let (mut now, mut left) = (start, alone.as_secs_f64());
         if self.bursts <= 1.0 {
             return start + alone;
@@ -138,7 +133,6 @@ mod tests {
         assert_eq!(load.done(ms(900), ms(3)), ms(930), "within a burst");
         assert_eq!(load.done(ms(790), ms(12)), ms(820), "half before, half in it");
         assert_eq!(load.done(ms(1190), ms(3)), ms(1202), "and out of it");
-        assert_eq!([load.at(ms(100)), load.at(ms(1000))], [2.0, 20.0]);
         assert_eq!(Load { slowdown: 2.0, bursts: 1.0 }.done(ms(900), ms(3)), ms(903));
     }
 }

@@ -1,5 +1,6 @@
 //! Many drives: every policy at every speed and load, with as many seeds as asked for.
 
+use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path as FilePath, PathBuf};
 
@@ -281,15 +282,20 @@ pub fn to_text(outcomes: &[Outcome]) -> String {
     for outcome in outcomes {
         let figures = &outcome.figures;
         if let Some(reason) = &figures.first_stop {
-            text += &format!(
+            let _ = write!(
+                text,
                 "\n{}: braked or stood for {:.1} % of the commands, first because {reason}",
                 outcome.case,
                 100.0 * figures.stopped
             );
         }
         if figures.step_aside > 0.0 {
-            text +=
-                &format!("\n{}: the followed line stepped aside by {:.1} cm at most", outcome.case, 100.0 * figures.step_aside);
+            let _ = write!(
+                text,
+                "\n{}: the followed line stepped aside by {:.1} cm at most",
+                outcome.case,
+                100.0 * figures.step_aside
+            );
         }
     }
     text

@@ -27,9 +27,7 @@ pub struct Situation {
     pub clearance: f64,
     /// Time from one scan to the next.
     pub period: Duration,
-    /// How much slower than by itself the machine is at this moment; nobody but an oracle knows.
-    pub load: f64,
-    /// Time that a whole answer takes without load; nobody but an oracle knows.
+    /// Time that a whole answer would take, begun now; nobody but an oracle knows.
     pub whole: Duration,
 }
 
@@ -117,7 +115,6 @@ mod tests {
         lookahead: 2.0,
         clearance: 0.6,
         period: Duration::from_millis(25),
-        load: 1.0,
         whole: Duration::from_millis(5),
     };
 
@@ -145,7 +142,7 @@ mod tests {
     #[test]
     fn an_oracle_limits_answers_only_under_load() {
         assert_eq!(Policy::Oracle.terms(&SITUATION), Terms::default());
-        let loaded = Policy::Oracle.terms(&Situation { load: 20.0, ..SITUATION });
+        let loaded = Policy::Oracle.terms(&Situation { whole: Duration::from_millis(100), ..SITUATION });
         assert_eq!(loaded.contract.time_budget, Some(SITUATION.period));
     }
 }

@@ -1,12 +1,13 @@
-//! Knows how loaded the machine is: what no policy can do better than.
+//! Knows how long a whole answer will take: nobody who does not can do better.
 
-use super::{Situation, Terms};
+use super::{ControllerBound, Situation, Terms};
 use crate::anytime::contract::Contract;
 
-/// Whole answers as long as they come before the next scan; else the best that does.
+/// Whole answers as long as the controller tolerates their delay; else the best in time.
 pub(super) fn terms(situation: &Situation) -> Terms {
-    if situation.whole.mul_f64(situation.load) <= situation.period {
+    let bound = ControllerBound::of(situation);
+    if situation.whole <= bound.delay {
         return Terms::default();
     }
-    Terms { contract: Contract { time_budget: Some(situation.period), ..Contract::default() }, max_iterations: None }
+    Terms { contract: Contract { time_budget: Some(bound.delay), ..Contract::default() }, max_iterations: None }
 }

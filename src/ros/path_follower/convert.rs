@@ -60,12 +60,12 @@ pub(super) fn markers(stamp: Stamp, frame: &str, path: &Path, step: &Step) -> [M
     let points = (0..=(end / SHOWN) as usize).map(|i| path.point(i as f64 * SHOWN)).chain([path.point(end)]);
     let target = step.place.map(|place| path.point(place.along + step.lookahead));
     [
-        marker(stamp, frame, (0, Marker::LINE_STRIP, 0.05), [0.2, 0.8, 0.3], points.collect()),
-        marker(stamp, frame, (1, Marker::POINTS, 0.2), [0.95, 0.3, 0.1], target.into_iter().collect()),
+        marker(stamp, frame, (0, Marker::LINE_STRIP, 0.05), [0.2, 0.8, 0.3], &points.collect::<Vec<_>>()),
+        marker(stamp, frame, (1, Marker::POINTS, 0.2), [0.95, 0.3, 0.1], target.as_slice()),
     ]
 }
 
-fn marker(stamp: Stamp, frame: &str, (id, kind, size): (i32, u8, f64), [r, g, b]: [f32; 3], points: Vec<Point>) -> Marker {
+fn marker(stamp: Stamp, frame: &str, (id, kind, size): (i32, u8, f64), [r, g, b]: [f32; 3], points: &[Point]) -> Marker {
     let (sec, nsec) = stamp.to_ros();
     let mut marker = Marker {
         header: MarkerHeader { seq: 0, stamp: rosrust::Time { sec, nsec }, frame_id: frame.into() },

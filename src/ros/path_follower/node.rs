@@ -13,6 +13,7 @@ use super::{AllKnobs, convert};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::timer::Timer;
 use crate::control::follower::{Follower, Step};
+use crate::control::progress::Progress;
 use crate::control::safety::StopReason;
 use crate::control::waypoint_file;
 use crate::io::map_file;
@@ -237,12 +238,9 @@ impl<'a> Node<'a> {
 
     fn say(&mut self, remark: Option<Remark>) {
         match remark {
-            None => {}
-            Some(Remark::Info(text)) => {
-                if self.stop.is_some() || self.number == 0 {
-                    self.log.info(&text);
-                }
-            }
+            // A planner that plans again and again is no news.
+            Some(Remark::Info(text)) if self.stop.is_some() || self.number == 0 => self.log.info(&text),
+            None | Some(Remark::Info(_)) => {}
             Some(Remark::Warning(text)) => self.reader.warn("path", &text),
         }
     }
@@ -253,7 +251,7 @@ impl<'a> Node<'a> {
         let step = self.intake.follower.command(now);
         self.tell_stop(&step);
         let (number, frame) = (self.number, self.intake.frame());
-        let path = self.intake.follower.progress().map(|progress| progress.path());
+        let path = self.intake.follower.progress().map(Progress::path);
         self.outlets.report.send(|| convert::report(number, now, frame, &step, path));
         if path.is_some() || self.number > 0 {
             self.outlets.drive.send(|| convert::drive(number, now, &self.base_frame, &step));
@@ -263,7 +261,9 @@ impl<'a> Node<'a> {
             && self.outlets.markers.has_listeners()
             && let Some(path) = path
         {
-            convert::markers(now, frame, path, &step).into_iter().for_each(|marker| self.outlets.markers.send(|| marker));
+            for marker in convert::markers(now, frame, path, &step) {
+                self.outlets.markers.send(|| marker);
+            }
         }
     }
 
