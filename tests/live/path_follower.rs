@@ -68,10 +68,10 @@ fn launch(graph: &Graph, world: &Path, start: &Pose2, arguments: &[&str]) -> Pro
     launch
 }
 
-/// Records truth and reports until the car has gone so far, in at most so many seconds.
-fn record(graph: &Graph, seconds: u64) -> Drive {
+/// Records truth and reports for some time.
+fn record(graph: &Graph, time: Duration) -> Drive {
     let recorder = graph.record(&["/odom", "/follower/report"]);
-    thread::sleep(Duration::from_secs(seconds));
+    thread::sleep(time);
     Drive::read(&graph.finish_recording(recorder))
 }
 
@@ -87,14 +87,14 @@ fn two_laps_at_four_metres_a_second_without_a_touch() {
     };
     let course = Course::load(world.to_str().unwrap(), None).unwrap();
     let _launch = launch(&graph, &world, &course.start(0.0), &["speed:=4", "estimator:=particle_filter"]);
-    let seconds = (2.0 * course.path.length() / 3.0) as u64 + 5;
-    let drive = record(&graph, seconds);
+    let time = Duration::from_secs_f64(2.0 * course.path.length() / 3.0 + 5.0);
+    let drive = record(&graph, time);
     let (errors, laps) = (drive.errors(&course), drive.length() / course.path.length());
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     let worst = *errors.last().unwrap();
     let room = drive.truth.iter().map(|pose| course.world.clearance(pose.translation())).fold(f64::INFINITY, f64::min);
     let stops: Vec<_> = drive.reports.iter().filter(|report| !report.driving).map(|report| report.reason.as_str()).collect();
-    println!("{laps:.2} laps, {mean:.3} m off on average, {worst:.3} m at most, {room:.2} m of room, {} stops", stops.len());
+    eprintln!("{laps:.2} laps, {mean:.3} m off on average, {worst:.3} m at most, {room:.2} m of room, {} stops", stops.len());
     assert!(laps >= 2.0, "{laps} laps: {:?}", stops.first());
     assert!(room > GIRTH && worst < 0.25, "{worst} m off, {room} m of room");
 }
@@ -112,7 +112,7 @@ fn it_drives_to_goals_and_lives_with_paths_nobody_should_send() {
     say(&graph, "/move_base_simple/goal", &goal, 1);
     launch.expect_log("drives");
     launch.expect_log("stands: arrived");
-    let drive = record(&graph, 1);
+    let drive = record(&graph, Duration::from_secs(1));
     let end = drive.truth.last().unwrap();
     assert!((end.x - 6.0).hypot(end.y + 5.9) < 0.15, "{end:?}");
     assert!(drive.reports.iter().all(|report| report.reason == "arrived" && report.speed == 0.0));

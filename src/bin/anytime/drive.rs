@@ -185,7 +185,7 @@ fn check_files(arguments: &Arguments) -> anyhow::Result<()> {
         .read("--costs", arguments.costs.as_deref())
         .read("--config", arguments.configuration.file());
     let files = written.iter().flatten().fold(files, |files, path| files.written("a file of --out", Some(path)));
-    Ok(files.check()?)
+    files.check()
 }
 
 /// What was typed, but for the place of the program.
