@@ -75,7 +75,8 @@ fn what_makes_no_sense_is_refused_with_a_remedy() {
         fs::write(&path, text).unwrap();
         path.to_str().unwrap().to_owned()
     };
-    let (broken, wall, open) = (file("b.csv", "1,2\nx,y,z\n"), file("w.csv", "0,0\n1,0\n"), file("o.csv", "0,-6.1\n5,-6\n"));
+    let (broken, wall, open) =
+        (file("b.csv", "1,2\nx,y,z\n"), file("w.csv", "0,-7.5\n1,-7.5\n"), file("o.csv", "0,-6.1\n5,-6\n"));
     for (arguments, code, words) in [
         (&["--policy", "slow"][..], 2, "fixed:TIME"),
         (&["--follow", "lookahead=1"], 2, "no such parameter"),

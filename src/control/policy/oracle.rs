@@ -1,13 +1,12 @@
-//! Knows how long a whole answer will take: nobody who does not can do better.
+//! Knows how long a whole answer will take: what nobody else can know.
 
 use super::{ControllerBound, Situation, Terms};
 use crate::anytime::contract::Contract;
 
-/// Whole answers as long as the controller tolerates their delay; else the best in time.
+/// What the controller tolerates, where a whole answer fits into it; else half of that, so that what is left over can be done before the
+/// next scan. Never without a limit: a filter that looks for its robot takes many times as long as usual.
 pub(super) fn terms(situation: &Situation) -> Terms {
     let bound = ControllerBound::of(situation);
-    if situation.whole <= bound.delay {
-        return Terms::default();
-    }
-    Terms { contract: Contract { time_budget: Some(bound.delay), ..Contract::default() }, max_iterations: None }
+    let time_budget = if situation.whole <= bound.delay { bound.delay } else { bound.delay / 2 };
+    Terms { contract: Contract { time_budget: Some(time_budget), ..Contract::default() }, max_iterations: None }
 }
