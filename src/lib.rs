@@ -35,12 +35,14 @@
 //! | [`evaluation`] | ATE, RPE, relations, plots |
 //! | [`anytime`] | contracts, clocks, and refining until the contract ends |
 //! | [`odometry`] | predict, match, keep the map of keyframes: one scan to one pose |
+//! | [`control`] | follows paths, and chooses contracts |
 //! | [`localization`] | a particle filter: where on a map |
 //! | [`io`] | bags, CARMEN logs, trajectories, relations, maps |
 //! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |
 //! | [`app`] | messages in, estimates out |
 //! | [`replay`], `ros` | a bag, or a live graph, through the application |
 //! | [`profile`] | many replays: delay against error |
+//! | [`drive`](mod@drive) | the closed loop offline: simulator, estimator and follower on a modelled processor |
 //!
 //! # What always holds
 //!
@@ -61,6 +63,9 @@ pub mod app;
 pub mod cloud;
 #[cfg(feature = "cli")]
 pub mod config;
+pub mod control;
+#[cfg(feature = "cli")]
+pub mod drive;
 pub mod evaluation;
 pub mod geometry;
 #[cfg(feature = "cli")]

@@ -3,10 +3,15 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use super::cost_model::Phase;
+
 /// A clock that never goes back. Only differences of its readings mean anything.
 pub trait Clock: Send + Sync {
     /// Time since the clock's origin.
     fn now(&self) -> Duration;
+
+    /// Work of a phase on so many rays has just been done. A clock of a machine that is but modelled moves on by what it would have taken.
+    fn worked(&self, _phase: Phase, _rays: usize) {}
 }
 
 /// The machine's monotonic clock.

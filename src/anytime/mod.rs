@@ -128,6 +128,7 @@ impl<'a> Driver<'a> {
     ///
     /// A step is begun only when it and all that follows it still fit before the deadline, at the costs that the model guards against.
     pub fn drive(&mut self, work: &mut impl Work) -> StopReason {
+        self.clock.worked(Phase::Setup, work.size(Phase::Setup));
         let mut now = self.clock.now();
         self.costs.observe(Phase::Setup, work.size(Phase::Setup), now.saturating_sub(self.task.taken_up));
         if let Some(outlook) = self.outlook_at(now) {
@@ -144,6 +145,7 @@ impl<'a> Driver<'a> {
                 return StopReason::Budget;
             }
             let stop = work.step();
+            self.clock.worked(Phase::Iteration, size);
             let before = std::mem::replace(&mut now, self.clock.now());
             self.costs.observe(Phase::Iteration, size, now.saturating_sub(before));
             self.refined = Some(now);

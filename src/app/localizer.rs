@@ -167,6 +167,7 @@ impl Localizer {
                 self.filter.predict(&Pose2::new(0.1, 0.0, 0.0), 0.025);
                 self.filter.update(observation, &Pose2::IDENTITY, &mut driver);
                 let refined = driver.refined().unwrap_or(now);
+                self.clock.worked(Phase::Closing, particles as usize);
                 let closing = self.clock.now().saturating_sub(refined);
                 self.filter.finish(false, &mut driver);
                 self.costs.observe(Phase::Closing, particles as usize, closing);
@@ -287,6 +288,9 @@ impl Localizer {
 
     /// To be called once the belief of `fix` has been handed over: takes the time.
     pub fn conclude(&mut self, fix: &mut Fix) {
+        if let Ok(belief) = &fix.belief {
+            self.clock.worked(Phase::Closing, belief.particles);
+        }
         let now = self.clock.now();
         fix.elapsed = now.saturating_sub(fix.arrival);
         if let (Ok(belief), Some(refined)) = (&fix.belief, fix.refined) {
@@ -386,6 +390,11 @@ impl Localizer {
     pub fn on_contract(&mut self, message: &own::Contract) -> Result<(), InputError> {
         self.contract = Contract::try_from(message)?;
         Ok(())
+    }
+
+    /// Another contract; in force from the next scan on.
+    pub fn set_contract(&mut self, contract: Contract) {
+        self.contract = contract;
     }
 
     /// The contract in force.

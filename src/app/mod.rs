@@ -313,6 +313,9 @@ impl App {
 
     /// To be called once the pose of `estimate` has been handed over: takes the time.
     pub fn conclude(&mut self, estimate: &mut Estimate) {
+        if let Some(report) = &estimate.registration.refinement {
+            self.clock.worked(Phase::Closing, report.rays_used as usize);
+        }
         let now = self.clock.now();
         estimate.elapsed = now.saturating_sub(estimate.arrival);
         self.counters.deadline_misses += u64::from(!estimate.deadline_met());

@@ -31,6 +31,26 @@ impl Message for Odometry {
     ];
 }
 
+/// `nav_msgs/Path`.
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
+pub struct Path {
+    pub header: super::std_msgs::Header,
+    pub poses: Vec<super::geometry_msgs::PoseStamped>,
+}
+
+impl Message for Path {
+    const TYPE: &'static str = "nav_msgs/Path";
+    const MD5: &'static str = "6227e2b7e9cce15051f669a5e197bbf7";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("nav_msgs/Path", include_str!("../../msg/nav_msgs/msg/Path.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/PoseStamped", include_str!("../../msg/geometry_msgs/msg/PoseStamped.msg")),
+        ("geometry_msgs/Pose", include_str!("../../msg/geometry_msgs/msg/Pose.msg")),
+        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+    ];
+}
+
 /// `nav_msgs/MapMetaData`.
 #[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
 pub struct MapMetaData {

@@ -105,3 +105,29 @@ impl Message for FilterReport {
         ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
     ];
 }
+
+/// `anytime_scan_matcher/FollowerReport`.
+#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
+pub struct FollowerReport {
+    pub header: super::std_msgs::Header,
+    pub driving: bool,
+    pub reason: String,
+    pub lateral_error: f64,
+    pub heading_error: f64,
+    pub progress: f64,
+    pub remaining: f64,
+    pub speed: f64,
+    pub steering_angle: f64,
+    pub lookahead: f64,
+    pub pose_age: f64,
+    pub path_age: f64,
+}
+
+impl Message for FollowerReport {
+    const TYPE: &'static str = "anytime_scan_matcher/FollowerReport";
+    const MD5: &'static str = "b97d3391119f22026f8e1b5be740b101";
+    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
+        ("anytime_scan_matcher/FollowerReport", include_str!("../../msg/anytime_scan_matcher/msg/FollowerReport.msg")),
+        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+    ];
+}

@@ -6,7 +6,8 @@ use super::pictures::Picture;
 use super::study::{ERROR_MEANS, Results};
 use super::summary::CaseSummary;
 
-const STYLE: &str = "
+/// How a report looks.
+pub(crate) const STYLE: &str = "
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2rem auto; padding: 0 1rem; }
 h1, h2 { line-height: 1.2; } h2 { margin-top: 3rem; border-bottom: 1px solid #ddd; padding-bottom: .3rem; }
 figure { margin: 1rem 0; } svg { width: 100%; height: auto; } figcaption { color: #555; }
@@ -101,7 +102,8 @@ fn facts(results: &Results, command: &str) -> String {
     format!("<pre>{}</pre>\n<table class=\"facts\">\n{rows}</table>\n", escaped(command))
 }
 
-fn table<'a>(header: &[&str], rows: impl Iterator<Item = Vec<String>> + 'a) -> String {
+/// A table of text.
+pub(crate) fn table<'a>(header: &[&str], rows: impl Iterator<Item = Vec<String>> + 'a) -> String {
     let mut text = String::from("<table>\n<tr>");
     for name in header {
         let _ = write!(text, "<th>{}</th>", escaped(name));

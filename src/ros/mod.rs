@@ -1,4 +1,4 @@
-//! The ROS 1 nodes: the one around [`App`](crate::app::App), the particle filter, a controller, and a simulator. Nothing else in this
+//! The ROS 1 nodes: the one around [`App`](crate::app::App), the particle filter, a controller, a follower of paths, and a simulator. Nothing else in this
 //! project knows of rosrust.
 //!
 //! ```text
@@ -31,6 +31,7 @@ mod outlet;
 mod params;
 pub mod particle_filter;
 mod path;
+pub mod path_follower;
 mod priority;
 mod publishers;
 pub mod racecar_sim;

@@ -45,6 +45,15 @@ impl Service {
     }
 }
 
+/// A service that acts and answers.
+pub(super) fn trigger(
+    ros: &Ros,
+    name: &'static str,
+    act: impl Fn() -> Reply + Send + Sync + 'static,
+) -> Result<Service, NodeError> {
+    Service::offer(ros, name, act)
+}
+
 /// A service that puts [`Event::Reset`] into the mailbox and answers in these words.
 pub(super) fn reset<I: Send + 'static>(
     ros: &Ros,

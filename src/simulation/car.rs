@@ -15,12 +15,13 @@ pub struct Car<'a> {
     vehicle: Vehicle<'a>,
     map_from_base: Pose2,
     twist: Twist2,
+    hits: u32,
 }
 
 impl<'a> Car<'a> {
     /// A car at rest.
     pub fn new(world: &'a dyn World, knobs: &'a VehicleKnobs, map_from_base: Pose2) -> Self {
-        Self { world, knobs, vehicle: Vehicle::new(knobs), map_from_base, twist: Twist2::default() }
+        Self { world, knobs, vehicle: Vehicle::new(knobs), map_from_base, twist: Twist2::default(), hits: 0 }
     }
 
     /// Where `base_link` is.
@@ -33,6 +34,11 @@ impl<'a> Car<'a> {
         self.twist
     }
 
+    /// How often a wall has stopped it.
+    pub fn hits(&self) -> u32 {
+        self.hits
+    }
+
     /// Carries out a command for `seconds`, as far as the car can; walls stop it.
     pub fn step(&mut self, command: Command, seconds: f64) {
         let speed = command.speed.clamp(-self.knobs.speed, self.knobs.speed);
@@ -40,6 +46,7 @@ impl<'a> Car<'a> {
         let next = self.map_from_base * self.twist.motion(seconds);
         let room = |pose: &Pose2| self.world.clearance(pose.translation());
         if room(&next) < GIRTH.min(room(&self.map_from_base)) {
+            self.hits += u32::from(self.twist != Twist2::default());
             self.vehicle.stop();
             self.twist = Twist2::default();
         } else {

@@ -8,6 +8,7 @@ use thiserror::Error;
 use crate::geometry::Point;
 
 use super::grid_world::GridWorld;
+use super::route::smooth_way;
 use super::world::World;
 
 /// Distance that the route keeps from every wall, m.
@@ -32,10 +33,40 @@ pub enum NoLoop {
     NothingToGoRound,
 }
 
+/// There is no way from one place to another.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum NoWay {
+    /// One of the places has no room for a car.
+    #[error("({x:.2}, {y:.2}) is within {MARGIN} m of a wall, of what is unknown, or outside the map")]
+    NoRoom {
+        /// Where, m.
+        x: f64,
+        /// Where, m.
+        y: f64,
+    },
+    /// No way leads from the one to the other.
+    #[error("no way that is {MARGIN} m clear of walls leads there")]
+    Separate,
+}
+
+/// The way from one place to another, well clear of walls where there is room, and smooth. It begins and ends there.
+pub fn find_way(world: &GridWorld, from: Point, to: Point) -> Result<Vec<Point>, NoWay> {
+    let lattice = Lattice::new(world);
+    let node_at = |place: Point| {
+        let no_room = NoWay::NoRoom { x: place.x, y: place.y };
+        lattice.nearest_to(place).filter(|&node| (lattice.positions[node] - place).norm() <= 2.0 * NODE_SPACING).ok_or(no_room)
+    };
+    let nodes = lattice.shortest_way(node_at(from)?, node_at(to)?).ok_or(NoWay::Separate)?;
+    let corners: Vec<Point> =
+        std::iter::once(from).chain(nodes.into_iter().map(|node| lattice.positions[node])).chain([to]).collect();
+    Ok(smooth_way(&corners, world, MARGIN))
+}
+
 /// Corners of a closed way through the free space nearest to the map's origin, round the largest island in it.
 pub fn find_loop(world: &GridWorld) -> Result<Vec<Point>, NoLoop> {
     let mut lattice = Lattice::new(world);
-    let start = lattice.nearest_to_origin().ok_or(NoLoop::NoRoom)?;
+    // Cars start at the origin of a map by custom.
+    let start = lattice.nearest_to(Point::zeros()).ok_or(NoLoop::NoRoom)?;
     lattice.keep_only_what_connects_to(start);
     let hub = lattice.largest_island().or_else(|| lattice.make_island()).ok_or(NoLoop::NothingToGoRound)?;
     let gate = lattice.clearest_on_the_cut(hub).ok_or(NoLoop::NothingToGoRound)?;
@@ -80,10 +111,11 @@ impl Lattice {
         self.clearance[node] > 0.0
     }
 
-    /// Cars start at the origin of a map by custom.
-    fn nearest_to_origin(&self) -> Option<usize> {
+    /// The open node nearest to a place.
+    fn nearest_to(&self, place: Point) -> Option<usize> {
         let open = (0..self.positions.len()).filter(|&node| self.is_open(node));
-        open.min_by(|&a, &b| self.positions[a].norm().total_cmp(&self.positions[b].norm()))
+        let distance = |node: usize| (self.positions[node] - place).norm();
+        open.min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
     }
 
     /// The nodes next to one, up to eight.
@@ -187,10 +219,22 @@ impl Lattice {
         })
     }
 
-    /// The cheapest way from `gate` back to it that crosses the cut an odd number of times: Dijkstra's search over pairs of node
-    /// and parity.
+    /// The cheapest way from one node to another: [`Self::cheapest`] between nodes that do not mind the cut.
+    fn shortest_way(&self, from: usize, to: usize) -> Option<Vec<usize>> {
+        // A cut beyond the last node is never crossed.
+        let mut way = self.cheapest(self.positions.len(), 2 * from, 2 * to)?;
+        way.reverse();
+        Some(way)
+    }
+
+    /// The cheapest way from `gate` back to it that crosses the cut an odd number of times.
     fn shortest_loop(&self, hub: usize, gate: usize) -> Option<Vec<usize>> {
-        let (start, goal) = (2 * gate, 2 * gate + 1);
+        self.cheapest(hub, 2 * gate, 2 * gate + 1)
+    }
+
+    /// The nodes of the cheapest way between two states, from its end to its beginning, which is left out: Dijkstra's search over pairs
+    /// of node and parity of the crossings of the cut.
+    fn cheapest(&self, hub: usize, start: usize, goal: usize) -> Option<Vec<usize>> {
         let mut costs = vec![u64::MAX; 2 * self.positions.len()];
         let mut came_from = vec![start; costs.len()];
         let mut queue = BinaryHeap::from([Reverse((0, start))]);

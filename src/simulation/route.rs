@@ -23,19 +23,8 @@ impl Route {
     /// `None` if the waypoints are too close together to make a loop.
     pub fn smooth(waypoints: &[Point], world: &dyn World, margin: f64) -> Option<Self> {
         let mut points = evenly_spaced(waypoints)?;
-        let clear = |new: Point, old: Point| {
-            let room = world.clearance(new);
-            room >= margin || room >= world.clearance(old)
-        };
-        for _ in 0..SMOOTHING_PASSES {
-            for i in 0..points.len() {
-                let [before, here, after] = around(&points, i, 1);
-                let relaxed = 0.5 * here + 0.25 * (before + after);
-                if clear(relaxed, here) {
-                    points[i] = relaxed;
-                }
-            }
-        }
+        let count = points.len();
+        relax(&mut points, 0..count, world, margin);
         let points = evenly_spaced(&points)?;
         let spacing = length(&points) / points.len() as f64;
         Some(Self { points, spacing })
@@ -84,6 +73,37 @@ impl Route {
     }
 }
 
+/// The open way through `corners`, with corners rounded as far as `margin` from the walls allows; its ends stay.
+pub fn smooth_way(corners: &[Point], world: &dyn World, margin: f64) -> Vec<Point> {
+    let mut points: Vec<Point> = Vec::new();
+    for ends in corners.windows(2) {
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a length in steps
+        let steps = ((ends[1] - ends[0]).norm() / SPACING).ceil().max(1.0) as usize;
+        points.extend((0..steps).map(|step| ends[0] + (ends[1] - ends[0]) * (step as f64 / steps as f64)));
+    }
+    points.extend(corners.last());
+    let inner = 1..points.len().saturating_sub(1).max(1);
+    relax(&mut points, inner, world, margin);
+    points
+}
+
+/// Draws each of some points of a closed line towards the middle of its neighbours, again and again, where there is room.
+fn relax(points: &mut [Point], range: std::ops::Range<usize>, world: &dyn World, margin: f64) {
+    let clear = |new: Point, old: Point| {
+        let room = world.clearance(new);
+        room >= margin || room >= world.clearance(old)
+    };
+    for _ in 0..SMOOTHING_PASSES {
+        for i in range.clone() {
+            let [before, here, after] = around(points, i, 1);
+            let relaxed = 0.5 * here + 0.25 * (before + after);
+            if clear(relaxed, here) {
+                points[i] = relaxed;
+            }
+        }
+    }
+}
+
 /// The points `span` before, at and `span` after `i` of a closed line.
 fn around(points: &[Point], i: usize, span: usize) -> [Point; 3] {
     let n = points.len();
@@ -117,4 +137,18 @@ fn evenly_spaced(corners: &[Point]) -> Option<Vec<Point>> {
         passed += edge;
     }
     Some(points)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulation::shapes::Shapes;
+
+    #[test]
+    fn an_open_way_keeps_its_ends_and_rounds_its_corners() {
+        let corners = [(0.0, 0.0), (5.0, 0.0), (5.0, 5.0)].map(|(x, y)| Point::new(x, y));
+        let way = smooth_way(&corners, &Shapes::default(), 0.4);
+        assert_eq!((way[0], way[way.len() - 1]), (corners[0], corners[2]));
+        assert!(way.iter().all(|point| (point - corners[1]).norm() > 0.2) && way.windows(2).all(|w| (w[1] - w[0]).norm() < 0.11));
+    }
 }

@@ -20,6 +20,11 @@ pub struct Scene {
     pub route: Route,
 }
 
+/// A smooth way round a map, well clear of its walls.
+pub fn way_round(world: &GridWorld) -> Result<Route, NoLoop> {
+    Route::smooth(&planner::find_loop(world)?, world, MARGIN).ok_or(NoLoop::NothingToGoRound)
+}
+
 impl Scene {
     /// A world that needs no map.
     pub fn built_in(which: BuiltIn) -> Result<Self, NoLoop> {
@@ -30,12 +35,11 @@ impl Scene {
     /// A map, with a route found in it. The seed picks the direction and the start.
     pub fn in_map(map: OccupancyGrid, seed: u32) -> Result<Self, NoLoop> {
         let world = GridWorld::new(map);
-        let corners = planner::find_loop(&world)?;
-        let Self { world, route } = Self::new(world, &corners)?;
+        let route = way_round(&world)?;
         let mut random = Pcg64::seed_from_u64(seed.into());
         let start = random.random_range(0..route.points().len());
         let route = if random.random() { route } else { route.reversed() };
-        Ok(Self { world, route: route.begun_at(start) })
+        Ok(Self { world: Box::new(world), route: route.begun_at(start) })
     }
 
     fn new(world: impl World + 'static, corners: &[Point]) -> Result<Self, NoLoop> {

@@ -59,6 +59,16 @@ impl<'a> Vehicle<'a> {
         Self { knobs, speed: 0.0, turn: 0.0 }
     }
 
+    /// A car on its way: `turn` is its steering angle, rad (Ackermann), or its yaw rate, rad/s (differential).
+    pub fn moving(knobs: &'a VehicleKnobs, speed: f64, turn: f64) -> Self {
+        Self { knobs, speed, turn }
+    }
+
+    /// The steering angle, rad (Ackermann), or the yaw rate, rad/s (differential).
+    pub fn turn(&self) -> f64 {
+        self.turn
+    }
+
     /// Forward speed, m/s.
     pub fn speed(&self) -> f64 {
         self.speed

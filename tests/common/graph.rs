@@ -15,8 +15,13 @@ use super::skipped::skip;
 
 pub const PACKAGE: &str = env!("CARGO_MANIFEST_DIR");
 pub const NODE: &str = env!("CARGO_BIN_EXE_scan_matcher");
-const PROGRAMS: [&str; 4] =
-    [NODE, env!("CARGO_BIN_EXE_particle_filter"), env!("CARGO_BIN_EXE_contract_demo"), env!("CARGO_BIN_EXE_racecar_sim")];
+const PROGRAMS: [&str; 5] = [
+    NODE,
+    env!("CARGO_BIN_EXE_particle_filter"),
+    env!("CARGO_BIN_EXE_path_follower"),
+    env!("CARGO_BIN_EXE_contract_demo"),
+    env!("CARGO_BIN_EXE_racecar_sim"),
+];
 /// For whatever should happen soon; a loaded machine may take its time.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 

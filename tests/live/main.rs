@@ -11,6 +11,7 @@ mod faults;
 mod localization;
 mod mounts;
 mod node;
+mod path_follower;
 mod peer;
 mod racecar_sim;
 mod runtime;

@@ -4,19 +4,20 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// From the bottom up. Modules of one layer do not know each other.
-const LAYERS: [&[&str]; 12] = [
+const LAYERS: [&[&str]; 13] = [
     &["time", "geometry", "quantile", "parallel", "output", "text_table"],
     &["knobs", "map"],
     &["messages", "raycasting"],
     &["scan", "transforms", "shared_memory"],
     &["matching", "simulation", "evaluation", "cloud"],
     &["anytime"],
-    &["odometry", "io"],
+    &["odometry", "io", "control"],
     &["localization"],
     &["config"],
     &["app"],
     &["replay", "ros"],
     &["profile"],
+    &["drive"],
 ];
 
 fn rust_files(folder: &Path) -> Vec<PathBuf> {

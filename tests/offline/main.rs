@@ -13,6 +13,7 @@ mod contract;
 mod convert;
 mod correspondences;
 mod covariance;
+mod drive;
 mod evaluation;
 mod fuzz;
 mod initial_pose;

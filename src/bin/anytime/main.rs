@@ -3,6 +3,7 @@
 
 mod configuration;
 mod convert;
+mod drive;
 mod evaluate;
 mod info;
 mod input_flags;
@@ -43,6 +44,7 @@ enum Command {
     Simulate(Box<simulate::Arguments>),
     Evaluate(evaluate::Arguments),
     Convert(convert::Arguments),
+    Drive(Box<drive::Arguments>),
     Completions(shell::Completions),
     Man(shell::Man),
 }
@@ -65,6 +67,7 @@ fn main() -> ExitCode {
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
+        Command::Drive(arguments) => drive::run(&arguments),
         Command::Completions(arguments) => shell::completions(&arguments, Cli::command()),
         Command::Man(arguments) => shell::man(&arguments, Cli::command()),
     };

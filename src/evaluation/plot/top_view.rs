@@ -23,7 +23,7 @@ const END: Look = Look::discs(Colour::Vermilion, 12);
 /// A way through the plane.
 #[derive(Clone, Debug)]
 pub struct Path {
-    /// The name in the legend.
+    /// The name in the legend; paths of one name share an entry.
     pub name: String,
     /// How it is drawn.
     pub look: Look,
@@ -111,7 +111,12 @@ impl TopView {
     /// What the signs stand for.
     pub(super) fn legend(&self) -> Vec<Entry> {
         let entry = |name: &str, look| Entry { name: name.to_owned(), look };
-        let mut entries: Vec<_> = self.paths.iter().map(|path| entry(&path.name, path.look)).collect();
+        let mut entries: Vec<Entry> = Vec::new();
+        for path in &self.paths {
+            if entries.iter().all(|entry| entry.name != path.name) {
+                entries.push(entry(&path.name, path.look));
+            }
+        }
         entries.extend([entry("start", START), entry("end", END)]);
         if !self.scan_points.is_empty() {
             entries.push(entry("scans", Look::discs(Colour::Grey, START.mark_radius)));

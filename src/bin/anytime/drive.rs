@@ -1,0 +1,195 @@
+//! `anytime drive`.
+
+use std::env;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use anytime_scan_matcher::control::follower::FollowerKnobs;
+use anytime_scan_matcher::control::laws::Law;
+use anytime_scan_matcher::control::policy::Policy;
+use anytime_scan_matcher::drive::EstimatorKind;
+use anytime_scan_matcher::drive::course::Course;
+use anytime_scan_matcher::drive::flaws::FlawKnobs;
+use anytime_scan_matcher::drive::processor::Load;
+use anytime_scan_matcher::drive::study::{Late, Study, to_text};
+use anytime_scan_matcher::knobs::{KnobGroup as _, KnobValue, Seconds, Value};
+use anytime_scan_matcher::simulation::lidar::LidarKnobs;
+use anytime_scan_matcher::simulation::odometer::OdometerKnobs;
+use clap::Args;
+
+use crate::configuration::Configuration;
+use crate::input_flags::Files;
+use crate::knob_flags::{help, set, value};
+use crate::outcome::usage;
+use crate::progress;
+
+/// Drive a simulated racecar round by its own poses: simulator, estimator and follower in one process, on a modelled clock
+#[derive(Args)]
+pub(crate) struct Arguments {
+    /// Where to drive: corridor, room, or the YAML file of a map
+    #[arg(long, default_value = "corridor")]
+    world: String,
+    /// The path: a CSV file of waypoints x, y[, speed] [default: a way round the world is planned]
+    #[arg(long, value_name = "FILE.csv")]
+    path: Option<PathBuf>,
+    /// Laps of each drive
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    laps: u32,
+    /// Top speed, m/s; several, separated by commas, are all driven
+    #[arg(long, default_value = "7", value_delimiter = ',')]
+    speed: Vec<f64>,
+    /// Where the poses come from: `truth`, `scan_matcher` or `particle_filter`
+    #[arg(long, default_value = "scan_matcher", value_parser = |text: &str| EstimatorKind::from_value(&text.into()))]
+    estimator: EstimatorKind,
+    #[arg(long, default_value = FollowerKnobs::default().law.name(), value_parser = |text: &str| Law::from_value(&text.into()), help = help::<FollowerKnobs>("law"))]
+    law: Law,
+    /// How contracts are chosen: `completion`, `iterations:N`, `fixed:TIME[,METRES]`, `table`, `oracle`; several may be given
+    #[arg(long, default_value = "completion")]
+    policy: Vec<Policy>,
+    /// How much slower than the costs the machine is (`8` or `x8`); several, separated by commas, are all driven
+    #[arg(long, default_value = "1", value_delimiter = ',', value_parser = factor)]
+    slowdown: Vec<f64>,
+    /// Other programs take the processor for 0.4 s in every 1.2 s: all work then takes so many times as long (`x20`); several, separated by commas
+    #[arg(long, default_value = "1", value_delimiter = ',', value_parser = factor)]
+    bursts: Vec<f64>,
+    /// What answers cost on the machine: a file of `contract.cost_file` [default: as on the machine of README's figures]
+    #[arg(long, value_name = "FILE.yaml")]
+    costs: Option<PathBuf>,
+    /// Drives of each case, with seeds from 1
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    seeds: u32,
+    /// Paths per second of a planner that plans again and again; 0: the path is there from the start
+    #[arg(long, default_value_t = 0.0)]
+    replan: f64,
+    /// How late its paths come, such as 2s
+    #[arg(long, default_value = "0", value_parser = seconds)]
+    path_delay: f64,
+    /// Length of its paths, m
+    #[arg(long, default_value_t = 40.0)]
+    horizon: f64,
+    #[arg(long, value_parser = value, help = help::<FlawKnobs>("steering_offset"))]
+    steering_offset: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<FlawKnobs>("steering_scale"))]
+    steering_scale: Option<Value>,
+    #[arg(long, value_parser = value, help = help::<FlawKnobs>("speed_scale"))]
+    speed_scale: Option<Value>,
+    /// Beams of the laser
+    #[arg(long, default_value_t = LidarKnobs::default().beams)]
+    beams: u32,
+    /// Set a parameter of the follower, such as `lookahead_time=0.3` (all: `path_follower --help`); may be given many times
+    #[arg(long, value_name = "NAME=VALUE")]
+    follow: Vec<String>,
+    /// Folder for report.html, figures.json and pictures
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    configuration: Configuration,
+}
+
+/// `20` or `x20`.
+fn factor(text: &str) -> Result<f64, String> {
+    let number: Option<f64> = text.trim_start_matches('x').parse().ok();
+    number
+        .filter(|factor| (1e-3..=1e6).contains(factor))
+        .ok_or_else(|| "expected a factor from 0.001 to 1000000, such as x20".into())
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let Ok(value) = value(text);
+    Seconds::from_value(&value)
+        .map(|seconds| seconds.0)
+        .and_then(|seconds| if seconds >= 0.0 { Ok(seconds) } else { Err("expected no less than 0".into()) })
+}
+
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
+    let mut config = arguments.configuration.load()?;
+    check_files(arguments)?;
+    // Drives share the cores, a core each.
+    config.localization.threads = 1;
+    let course = Course::load(&arguments.world, arguments.path.as_deref())?;
+    let loads =
+        arguments.slowdown.iter().flat_map(|&slowdown| arguments.bursts.iter().map(move |&bursts| Load { slowdown, bursts }));
+    let study = Study {
+        course: &course,
+        estimator: arguments.estimator,
+        config: &config,
+        follower: follower(arguments)?,
+        lidar: LidarKnobs { beams: arguments.beams.clamp(10, 10_000), ..LidarKnobs::default() },
+        odometer: OdometerKnobs::default(),
+        flaws: flaws(arguments)?,
+        costs: arguments.costs.clone(),
+        replanning: replanning(arguments)?,
+        laps: arguments.laps,
+        seeds: arguments.seeds,
+        policies: arguments.policy.clone(),
+        speeds: arguments.speed.clone(),
+        loads: loads.collect(),
+        command: command(),
+    };
+    if let Some(out) = &arguments.out {
+        fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
+    }
+    let progress = progress::bar(study.runs())?;
+    let outcomes = study.conduct(|| progress.inc(1))?;
+    progress.finish_and_clear();
+    if let Some(out) = &arguments.out {
+        study.write(&outcomes, out)?;
+    }
+    Ok(if arguments.json { study.to_json(&outcomes).to_string() } else { to_text(&outcomes) })
+}
+
+/// The defaults, the law, and what `--follow` sets. Without the emergency brake, unless it is asked for.
+fn follower(arguments: &Arguments) -> anyhow::Result<FollowerKnobs> {
+    let mut knobs = FollowerKnobs { law: arguments.law, min_time_to_collision: Seconds(0.0), ..FollowerKnobs::default() };
+    for assignment in &arguments.follow {
+        let (name, text) =
+            assignment.split_once('=').ok_or_else(|| usage(format!("--follow {assignment}: expected NAME=VALUE")))?;
+        let Ok(value) = value(text);
+        match knobs.set(name, &value) {
+            Some(Ok(())) => {}
+            Some(Err(problem)) => return Err(usage(format!("--follow {name}: {problem}"))),
+            None => return Err(usage(format!("--follow {name}: there is no such parameter of the follower"))),
+        }
+    }
+    if let Some(speed) = arguments.speed.iter().find(|speed| !(0.1..=20.0).contains(*speed)) {
+        return Err(usage(format!("--speed {speed}: expected 0.1 to 20")));
+    }
+    Ok(knobs)
+}
+
+fn flaws(arguments: &Arguments) -> anyhow::Result<FlawKnobs> {
+    let mut knobs = FlawKnobs::default();
+    set(&mut knobs, "steering_offset", arguments.steering_offset.as_ref())?;
+    set(&mut knobs, "steering_scale", arguments.steering_scale.as_ref())?;
+    set(&mut knobs, "speed_scale", arguments.speed_scale.as_ref())?;
+    Ok(knobs)
+}
+
+fn replanning(arguments: &Arguments) -> anyhow::Result<Option<Late>> {
+    let &Arguments { replan, path_delay, horizon, .. } = arguments;
+    if !((0.0..=1000.0).contains(&replan) && (1.0..=1000.0).contains(&horizon)) {
+        return Err(usage("--replan takes 0 to 1000, --horizon 1 to 1000"));
+    }
+    Ok((replan > 0.0).then_some(Late { rate: replan, delay: path_delay, horizon }))
+}
+
+fn check_files(arguments: &Arguments) -> anyhow::Result<()> {
+    let written = arguments.out.as_ref().map(|out| ["report.html", "figures.json"].map(|name| out.join(name)));
+    let files = Files::default()
+        .read("--world", Some(Path::new(&arguments.world)))
+        .read("--path", arguments.path.as_deref())
+        .read("--costs", arguments.costs.as_deref())
+        .read("--config", arguments.configuration.file());
+    let files = written.iter().flatten().fold(files, |files, path| files.written("a file of --out", Some(path)));
+    files.check()
+}
+
+/// What was typed, but for the place of the program.
+fn command() -> String {
+    let words = env::args().skip(1).map(|word| if word.contains(' ') { format!("'{word}'") } else { word });
+    ["anytime".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
+}

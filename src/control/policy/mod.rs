@@ -1,0 +1,148 @@
+//! Policies: which time contract to give the estimator, scan by scan.
+
+mod bound;
+mod completion;
+mod fixed;
+mod iterations;
+mod oracle;
+mod table;
+
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
+
+pub use bound::ControllerBound;
+pub use table::Mode;
+
+use crate::anytime::contract::Contract;
+
+/// What a policy may know when a scan comes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Situation {
+    /// How fast the car is, m/s.
+    pub speed: f64,
+    /// The distance ahead that its law looks at, m.
+    pub lookahead: f64,
+    /// Room beside the car on its path within the look-ahead, m.
+    pub clearance: f64,
+    /// Time from one scan to the next.
+    pub period: Duration,
+    /// Time that a whole answer would take, begun now; nobody but an oracle knows.
+    pub whole: Duration,
+}
+
+/// What is asked of the answer to a scan.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Terms {
+    /// The contract.
+    pub contract: Contract,
+    /// Iterations at most; `None`: as the configuration says.
+    pub max_iterations: Option<u32>,
+}
+
+/// How contracts are chosen.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Policy {
+    /// No contract: every answer takes as long as it takes.
+    Completion,
+    /// So many iterations at most.
+    Iterations(u32),
+    /// The same contract always.
+    Fixed(Contract),
+    /// The cheapest mode of a profile that the controller tolerates.
+    Table(Vec<Mode>),
+    /// Knows the load.
+    Oracle,
+}
+
+impl Policy {
+    /// The terms in a situation.
+    pub fn terms(&self, situation: &Situation) -> Terms {
+        match self {
+            Self::Completion => completion::terms(),
+            Self::Iterations(count) => iterations::terms(*count),
+            Self::Fixed(contract) => fixed::terms(*contract),
+            Self::Table(modes) => table::terms(modes, situation),
+            Self::Oracle => oracle::terms(situation),
+        }
+    }
+}
+
+/// Text that names no policy.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("expected completion, iterations:N, fixed:TIME[,METRES] (fixed:10ms,0.02), table or oracle, got '{0}'")]
+pub struct UnknownPolicy(String);
+
+impl FromStr for Policy {
+    type Err = UnknownPolicy;
+
+    /// A table has no modes yet.
+    fn from_str(text: &str) -> Result<Self, UnknownPolicy> {
+        let unknown = || UnknownPolicy(text.into());
+        let (name, value) = text.split_once(':').unwrap_or((text, ""));
+        match (name, value) {
+            ("completion", "") => Ok(Self::Completion),
+            ("table", "") => Ok(Self::Table(Vec::new())),
+            ("oracle", "") => Ok(Self::Oracle),
+            ("iterations", count) => count.parse().ok().filter(|count| *count > 0).map(Self::Iterations).ok_or_else(unknown),
+            ("fixed", value) => fixed::parse(value).map(Self::Fixed).ok_or_else(unknown),
+            _ => Err(unknown()),
+        }
+    }
+}
+
+impl fmt::Display for Policy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Completion => write!(f, "completion"),
+            Self::Iterations(count) => write!(f, "iterations:{count}"),
+            Self::Fixed(contract) => {
+                write!(f, "fixed:{}ms", contract.time_budget.unwrap_or_default().as_secs_f64() * 1e3)?;
+                contract.translation_error_bound.map_or(Ok(()), |bound| write!(f, ",{bound}"))
+            }
+            Self::Table(_) => write!(f, "table"),
+            Self::Oracle => write!(f, "oracle"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SITUATION: Situation = Situation {
+        speed: 7.0,
+        lookahead: 2.0,
+        clearance: 0.6,
+        period: Duration::from_millis(25),
+        whole: Duration::from_millis(5),
+    };
+
+    #[test]
+    fn policies_are_named_as_they_are_read() {
+        for name in ["completion", "iterations:3", "fixed:10ms", "fixed:2.5ms,0.02", "table", "oracle"] {
+            assert_eq!(name.parse::<Policy>().unwrap().to_string(), name);
+        }
+        for wrong in ["", "fixed", "fixed:x", "fixed:10ms,-1", "iterations:0", "tables", "oracle:1"] {
+            assert!(wrong.parse::<Policy>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_table_takes_the_cheapest_mode_that_the_controller_tolerates() {
+        let mode = |ms: u64, error: f64| Mode { delay: Duration::from_millis(ms), error };
+        let policy = Policy::Table(vec![mode(1, 0.2), mode(5, 0.01), mode(20, 0.002)]);
+        let budget = |situation: &Situation| policy.terms(situation).contract.time_budget.unwrap().as_millis();
+        assert_eq!(budget(&SITUATION), 5);
+        assert_eq!(budget(&Situation { clearance: 0.04, ..SITUATION }), 20, "little room: a better pose");
+        assert_eq!(budget(&Situation { clearance: 0.0, speed: 40.0, ..SITUATION }), 5, "the best of those in time");
+        assert_eq!(Policy::Table(vec![]).terms(&SITUATION), Terms::default());
+    }
+
+    #[test]
+    fn an_oracle_asks_for_less_under_load() {
+        assert_eq!(Policy::Oracle.terms(&SITUATION).contract.time_budget, Some(SITUATION.period));
+        let loaded = Policy::Oracle.terms(&Situation { whole: Duration::from_millis(100), ..SITUATION });
+        assert_eq!(loaded.contract.time_budget, Some(SITUATION.period / 2));
+    }
+}

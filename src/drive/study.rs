@@ -1,0 +1,302 @@
+//! Many drives: every policy at every speed and load, with as many seeds as asked for.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path as FilePath, PathBuf};
+
+use comfy_table::{Table, presets};
+use serde_json::{Value, json};
+
+use super::closed_loop::{Setup, drive};
+use super::course::Course;
+use super::figures::{Figures, Run, endings};
+use super::flaws::FlawKnobs;
+use super::processor::Load;
+use super::replanning::Replanning;
+use super::{DriveError, EstimatorKind, costs, page, pictures, profiling};
+use crate::config::Config;
+use crate::control::follower::FollowerKnobs;
+use crate::control::policy::{Mode, Policy};
+use crate::output;
+use crate::parallel;
+use crate::simulation::lidar::LidarKnobs;
+use crate::simulation::odometer::OdometerKnobs;
+
+pub use super::replanning::Replanning as Late;
+
+/// What is varied.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Case {
+    /// How contracts are chosen.
+    pub policy: Policy,
+    /// Top speed, m/s.
+    pub speed: f64,
+    /// What slows the machine down.
+    pub load: Load,
+}
+
+/// What came of a case.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// The case.
+    pub case: Case,
+    /// Over all seeds.
+    pub figures: Figures,
+    /// Every drive; ways are kept of the first alone, and of the first that did not finish.
+    pub runs: Vec<Run>,
+}
+
+/// What is driven.
+pub struct Study<'a> {
+    /// Where.
+    pub course: &'a Course,
+    /// By whose poses.
+    pub estimator: EstimatorKind,
+    /// Of the estimator.
+    pub config: &'a Config,
+    /// Of the follower; its speed is that of the case.
+    pub follower: FollowerKnobs,
+    /// Of the laser.
+    pub lidar: LidarKnobs,
+    /// Of the odometry.
+    pub odometer: OdometerKnobs,
+    /// Of the car.
+    pub flaws: FlawKnobs,
+    /// The costs of the machine; `None`: as built in.
+    pub costs: Option<PathBuf>,
+    /// Paths that come late; `None`: the path is there from the start.
+    pub replanning: Option<Replanning>,
+    /// Laps of a drive.
+    pub laps: u32,
+    /// Drives of a case, with seeds from 1.
+    pub seeds: u32,
+    /// All policies, all speeds, all loads.
+    pub policies: Vec<Policy>,
+    /// m/s.
+    pub speeds: Vec<f64>,
+    /// Slow-downs and bursts.
+    pub loads: Vec<Load>,
+    /// What was typed.
+    pub command: String,
+}
+
+impl Study<'_> {
+    /// Drives everything. `on_run` is called after each drive.
+    pub fn conduct(&self, on_run: impl Fn() + Sync) -> Result<Vec<Outcome>, DriveError> {
+        if !self.course.path.is_closed() && self.laps > 1 {
+            return Err(DriveError::OpenPath);
+        }
+        let mut outcomes = Vec::new();
+        for &load in &self.loads {
+            for &speed in &self.speeds {
+                for policy in &self.policies {
+                    let case = Case { policy: policy.clone(), speed, load };
+                    outcomes.push(self.drive_case(case, &on_run)?);
+                }
+            }
+        }
+        Ok(outcomes)
+    }
+
+    /// Number of drives.
+    pub fn runs(&self) -> u64 {
+        (self.policies.len() * self.speeds.len() * self.loads.len()) as u64 * u64::from(self.seeds)
+    }
+
+    fn setup(&self, case: &Case, seed: u32) -> Result<Setup<'_>, DriveError> {
+        Ok(Setup {
+            course: self.course,
+            estimator: self.estimator,
+            config: self.config,
+            follower: FollowerKnobs { speed: case.speed, ..self.follower.clone() },
+            lidar: self.lidar.clone(),
+            odometer: self.odometer.clone(),
+            flaws: self.flaws.clone(),
+            costs: costs::of(self.estimator, self.costs.as_deref(), self.config.contract.confidence)?,
+            load: case.load,
+            policy: case.policy.clone(),
+            replanning: self.replanning,
+            laps: self.laps,
+            seed,
+        })
+    }
+
+    fn drive_case(&self, mut case: Case, on_run: &(impl Fn() + Sync)) -> Result<Outcome, DriveError> {
+        if case.policy == Policy::Table(Vec::new()) {
+            case.policy = Policy::Table(self.modes(&case)?);
+        }
+        let run = |seed: u32| {
+            let run = self.setup(&case, seed).and_then(|setup| drive(&setup));
+            on_run();
+            run
+        };
+        let mut runs: Vec<Run> = parallel::map(1..=self.seeds, run).into_iter().collect::<Result<_, _>>()?;
+        let figures = Figures::of(&runs);
+        let shown = runs.iter().position(|run| !run.is_finished()).unwrap_or(0);
+        for (index, run) in runs.iter_mut().enumerate() {
+            run.forget_details(index == 0 || index == shown);
+        }
+        Ok(Outcome { case, figures, runs })
+    }
+
+    fn modes(&self, case: &Case) -> Result<Vec<Mode>, DriveError> {
+        profiling::modes(&self.setup(case, 1)?)
+    }
+
+    /// What was driven, in words.
+    pub(super) fn facts(&self) -> Vec<(&'static str, String)> {
+        vec![
+            ("world", self.course.name.clone()),
+            (
+                "path",
+                format!("{:.1} m, {}", self.course.path.length(), if self.course.path.is_closed() { "closed" } else { "open" }),
+            ),
+            ("estimator", self.estimator.name().into()),
+            ("law", self.follower.law.name().into()),
+            ("laps, seeds", format!("{} laps, seeds 1 to {}", self.laps, self.seeds)),
+            ("laser", format!("{} beams at {} Hz", self.lidar.beams, self.lidar.rate)),
+            (
+                "flaws of the car, standard deviations",
+                format!(
+                    "steering {} deg and {} %, speed {} %",
+                    self.flaws.steering_offset,
+                    100.0 * self.flaws.steering_scale,
+                    100.0 * self.flaws.speed_scale
+                ),
+            ),
+            ("costs", self.costs.as_ref().map_or("built in".into(), |path| path.display().to_string())),
+            (
+                "late paths",
+                self.replanning
+                    .map_or("none".into(), |how| format!("{} a second, {} s late, {} m long", how.rate, how.delay, how.horizon)),
+            ),
+            (
+                "emergency brake",
+                if self.follower.min_time_to_collision.0 > 0.0 { "on" } else { "off: what it would hide is seen" }.into(),
+            ),
+            ("program", format!("anytime_scan_matcher {}", env!("CARGO_PKG_VERSION"))),
+        ]
+    }
+
+    /// Writes `report.html`, `figures.json` and the pictures.
+    pub fn write(&self, outcomes: &[Outcome], folder: &FilePath) -> Result<(), DriveError> {
+        let file = |name: &str, bytes: &str| {
+            let path = folder.join(name);
+            output::write(&path, bytes).map_err(|problem| DriveError::File { path, problem })
+        };
+        fs::create_dir_all(folder).map_err(|problem| DriveError::File { path: folder.into(), problem })?;
+        let mut shown = Vec::new();
+        if self.loads.len() > 1 {
+            let svg = pictures::speed_against_load(outcomes)?;
+            file("speed_against_load.svg", &svg)?;
+            shown.push(("Highest speed without a crash, against load".to_owned(), svg));
+        }
+        for (number, outcome) in (1..).zip(outcomes).take(page::MOST_PATHS) {
+            for run in outcome.runs.iter().filter(|run| !run.trace.is_empty()) {
+                let svg = pictures::path(self.course, run)?;
+                file(&format!("path_{number}_seed_{}.svg", run.seed), &svg)?;
+                shown.push((format!("{}, seed {}: {}", outcome.case, run.seed, run.ending_name()), svg));
+            }
+        }
+        file("figures.json", &format!("{:#}\n", self.to_json(outcomes)))?;
+        file("report.html", &page::report(self, outcomes, &shown))
+    }
+
+    /// For machines.
+    pub fn to_json(&self, outcomes: &[Outcome]) -> Value {
+        let case = |outcome: &Outcome| {
+            let Case { policy, speed, load } = &outcome.case;
+            let mut value = outcome.figures.to_json();
+            value["policy"] = policy.to_string().into();
+            value["speed_m_s"] = (*speed).into();
+            value["slowdown"] = load.slowdown.into();
+            value["bursts"] = load.bursts.into();
+            if let Policy::Table(modes) = policy {
+                value["modes"] =
+                    modes.iter().map(|mode| json!({"delay_s": mode.delay.as_secs_f64(), "error_m": mode.error})).collect();
+            }
+            value["drives"] = endings(&outcome.runs);
+            value
+        };
+        let facts: serde_json::Map<_, _> =
+            self.facts().into_iter().map(|(name, value)| (name.to_owned(), value.into())).collect();
+        json!({"command": self.command, "facts": facts, "cases": outcomes.iter().map(case).collect::<Vec<_>>()})
+    }
+}
+
+impl std::fmt::Display for Case {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} at {} m/s, x{}", self.policy, self.speed, self.load.slowdown)?;
+        if self.load.bursts > 1.0 { write!(f, ", bursts x{}", self.load.bursts) } else { Ok(()) }
+    }
+}
+
+/// The columns of the table.
+pub(super) const HEADER: [&str; 14] = [
+    "policy",
+    "speed",
+    "load",
+    "finished",
+    "hits",
+    "laps",
+    "mean [cm]",
+    "RMS [cm]",
+    "p99.9 [cm]",
+    "max [cm]",
+    "lap [s]",
+    "late [%]",
+    "age [ms]",
+    "cpu/lap [s]",
+];
+
+/// A row of the table.
+pub(super) fn row(outcome: &Outcome) -> Vec<String> {
+    let Outcome { case, figures, .. } = outcome;
+    let centimetres = figures.lateral.map(|error| format!("{:.1}", 100.0 * error));
+    let bursts = if case.load.bursts > 1.0 { format!(", bursts x{}", case.load.bursts) } else { String::new() };
+    let mut row = vec![
+        case.policy.to_string(),
+        format!("{} m/s", case.speed),
+        format!("x{}{bursts}", case.load.slowdown),
+        format!("{} of {}", figures.finished, figures.runs),
+        figures.hits.to_string(),
+        format!("{:.1}", figures.laps),
+    ];
+    row.extend(centimetres);
+    row.push(format!("{:.2}", figures.lap_time));
+    row.push(format!("{:.2}", 100.0 * figures.late.max(if case.policy == Policy::Completion { figures.overdue } else { 0.0 })));
+    row.push(format!("{:.1}", 1e3 * figures.age[0]));
+    row.push(format!("{:.3}", figures.work_per_lap));
+    row
+}
+
+/// For people.
+pub fn to_text(outcomes: &[Outcome]) -> String {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING);
+    table.set_header(HEADER);
+    for outcome in outcomes {
+        table.add_row(row(outcome));
+    }
+    let mut text = table.to_string();
+    for outcome in outcomes {
+        let figures = &outcome.figures;
+        if let Some(reason) = &figures.first_stop {
+            let _ = write!(
+                text,
+                "\n{}: braked or stood for {:.1} % of the commands, first because {reason}",
+                outcome.case,
+                100.0 * figures.stopped
+            );
+        }
+        if figures.step_aside > 0.0 {
+            let _ = write!(
+                text,
+                "\n{}: the followed line stepped aside by {:.1} cm at most",
+                outcome.case,
+                100.0 * figures.step_aside
+            );
+        }
+    }
+    text
+}

@@ -1,0 +1,312 @@
+//! The follower as a node.
+
+use std::fs;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Duration;
+
+use rosrust::api::{Master, Ros};
+use rosrust_msg::visualization_msgs::Marker;
+
+use super::intake::{Intake, Remark};
+use super::{AllKnobs, convert};
+use crate::anytime::clock::{Clock, MonotonicClock};
+use crate::anytime::timer::Timer;
+use crate::control::follower::{Follower, Step};
+use crate::control::progress::Progress;
+use crate::control::safety::StopReason;
+use crate::control::waypoint_file;
+use crate::io::map_file;
+use crate::messages::Message;
+use crate::messages::ackermann_msgs::AckermannDriveStamped;
+use crate::messages::geometry_msgs::PoseStamped;
+use crate::messages::nav_msgs::{OccupancyGrid, Odometry, Path};
+use crate::messages::own::FollowerReport;
+use crate::messages::sensor_msgs::LaserScan;
+use crate::messages::tf2_msgs::TFMessage;
+use crate::ros::NodeError;
+use crate::ros::inlet::{Letter, Topic, listen};
+use crate::ros::links::Links;
+use crate::ros::log::{Log, ROSOUT};
+use crate::ros::master::{MasterLink, Role};
+use crate::ros::outlet::Outlet;
+use crate::ros::params;
+use crate::ros::publishers::Output;
+use crate::ros::reader::Reader;
+use crate::ros::services::{self, Service};
+use crate::ros::shutdown::StopSignal;
+use crate::time::Stamp;
+
+/// From one look at the master to the next.
+const MASTER_PERIOD: Duration = Duration::from_secs(1);
+/// From one picture of the path to the next.
+const MARKER_PERIOD: Duration = Duration::from_millis(200);
+
+/// What it hears.
+#[derive(Clone, Copy, Debug)]
+enum Input {
+    Path,
+    Pose,
+    Scan,
+    Map,
+    Goal,
+    Transforms,
+    StaticTransforms,
+    Resume,
+}
+
+impl Input {
+    const TOPICS: [Self; 7] =
+        [Self::Path, Self::Pose, Self::Scan, Self::Map, Self::Goal, Self::Transforms, Self::StaticTransforms];
+
+    fn topic(self) -> Topic {
+        match self {
+            Self::Path | Self::Resume => Topic::of::<Path>("path"),
+            Self::Pose => Topic::vital::<Odometry>("pose"),
+            Self::Scan => Topic::of::<LaserScan>("scan"),
+            Self::Map => Topic::of::<OccupancyGrid>("map"),
+            Self::Goal => Topic::of::<PoseStamped>("move_base_simple/goal"),
+            Self::Transforms => Topic::of::<TFMessage>("/tf"),
+            Self::StaticTransforms => Topic::of::<TFMessage>("/tf_static"),
+        }
+    }
+}
+
+/// What it says.
+struct Outlets {
+    drive: Outlet<AckermannDriveStamped>,
+    report: Outlet<FollowerReport>,
+    markers: Output<Marker>,
+}
+
+impl Outlets {
+    fn new(ros: &Ros) -> Result<Self, NodeError> {
+        Ok(Self {
+            drive: Outlet::new(ros, "drive")?,
+            report: Outlet::new(ros, "follower/report")?,
+            markers: Output::new(ros, "follower/viz")?,
+        })
+    }
+
+    fn roles(&self) -> [Role; 3] {
+        [self.drive.role(), self.report.role(), self.markers.role()]
+    }
+}
+
+pub(super) struct Node<'a> {
+    ros: &'a Ros,
+    clock: Arc<dyn Clock>,
+    master: MasterLink<'a>,
+    letters: Receiver<(Input, Option<Letter>)>,
+    outlets: Outlets,
+    intake: Intake,
+    base_frame: String,
+    commands: Timer,
+    markers: Timer,
+    number: u32,
+    /// As last said.
+    stop: Option<String>,
+    log: Log,
+    reader: Reader,
+    _resume: Service,
+    // Dropping this ends them.
+    _links: Links<'a>,
+}
+
+impl<'a> Node<'a> {
+    pub(super) fn start(ros: &'a Ros, master: &'a Master, knobs: AllKnobs) -> Result<Self, NodeError> {
+        let log = Log::new(ros)?;
+        let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
+        let outlets = Outlets::new(ros)?;
+        let (sender, letters) = channel();
+        let links = Links::new(ros, &clock, &log)?;
+        Input::TOPICS.into_iter().try_for_each(|input| subscribe(&links, input, sender.clone()))?;
+        let resume = services::trigger(ros, "~resume", move || {
+            drop(sender.send((Input::Resume, None)));
+            Ok("the car may go on".into())
+        })?;
+        let mut roles: Vec<Role> = Input::TOPICS.map(|input| input.topic().role()).into();
+        roles.extend(outlets.roles());
+        roles.extend([resume.role(ros)?, Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
+        let master = MasterLink::new(ros, master, roles, &log)?;
+        let (now, reader) = (clock.now(), Reader::new(&clock, &log));
+        let AllKnobs { node, follower } = knobs;
+        log.info(&format!(
+            "follows paths by {} at up to {} m/s, {} commands a second",
+            follower.law.name(),
+            follower.speed,
+            node.rate
+        ));
+        let period = Duration::from_secs_f64(node.rate.recip());
+        let mut intake = Intake::new(Follower::new(follower), node.clone());
+        if let Some(file) = &node.map_file {
+            let remark = intake.set_map(map_file::read(std::path::Path::new(file))?)?;
+            tell(remark, &log);
+        }
+        if let Some(file) = &node.path_file {
+            read_path(ros.name(), file, &mut intake, &log)?;
+        }
+        Ok(Self {
+            ros,
+            clock,
+            master,
+            letters,
+            outlets,
+            intake,
+            base_frame: node.base_frame,
+            commands: Timer::new(period, now),
+            markers: Timer::new(MARKER_PERIOD, now),
+            number: 0,
+            stop: None,
+            log,
+            reader,
+            _resume: resume,
+            _links: links,
+        })
+    }
+
+    /// Until somebody wants it to stop. The last command is to stand.
+    pub(super) fn run(mut self, stop: &StopSignal) {
+        let mut looks = Timer::new(MASTER_PERIOD, self.clock.now());
+        while !stop.wait(Duration::ZERO) && self.ros.is_ok() {
+            if let Ok((input, letter)) = self.letters.recv_timeout(self.commands.left(self.clock.now())) {
+                self.handle(input, letter.as_ref());
+            }
+            let now = self.clock.now();
+            if self.commands.is_due(now) {
+                self.command(now);
+            }
+            if looks.is_due(now) {
+                self.master.check();
+            }
+        }
+        if self.intake.follower.progress().is_some() {
+            let message = AckermannDriveStamped::default();
+            self.outlets.drive.send(|| message);
+        }
+    }
+
+    fn now(&self) -> Stamp {
+        let time = self.ros.now();
+        Stamp::from_ros(time.sec, time.nsec)
+    }
+
+    fn handle(&mut self, input: Input, letter: Option<&Letter>) {
+        let Some(letter) = letter else {
+            self.log.info("told to go on");
+            return self.intake.follower.resume();
+        };
+        match input {
+            Input::Pose => self.with(letter, "pose", |intake, message| intake.on_pose(&message)),
+            Input::Scan => self.with(letter, "scan", |intake, message| intake.on_scan(&message)),
+            Input::Map => self.with(letter, "map", |intake, message| intake.on_map(&message)),
+            Input::Transforms | Input::StaticTransforms => {
+                self.with(letter, "tf", |intake, message| {
+                    intake.on_transforms(&message);
+                    Ok(())
+                });
+                let remark = self.intake.retry();
+                self.say(remark);
+            }
+            Input::Path | Input::Resume => {
+                if let Some(message) = self.reader.read::<Path>(Path::TYPE, letter) {
+                    let remark = self.intake.on_path(message);
+                    self.say(remark);
+                }
+            }
+            Input::Goal => self.on_goal(letter),
+        }
+    }
+
+    fn with<T: Message>(&mut self, letter: &Letter, name: &'static str, take: impl FnOnce(&mut Intake, T) -> Result<(), String>) {
+        if let Some(message) = self.reader.read::<T>(T::TYPE, letter)
+            && let Err(problem) = take(&mut self.intake, message)
+        {
+            self.reader.warn(name, &problem);
+        }
+    }
+
+    fn on_goal(&mut self, letter: &Letter) {
+        let Some(message) = self.reader.read::<PoseStamped>(PoseStamped::TYPE, letter) else { return };
+        let now = self.now();
+        let from = self.intake.follower.pose_at(now);
+        match self.intake.on_goal(&message, from, now) {
+            Ok(remark) => self.say(remark),
+            Err(problem) => self.reader.warn("move_base_simple/goal", &problem),
+        }
+    }
+
+    fn say(&mut self, remark: Option<Remark>) {
+        match remark {
+            // A planner that plans again and again is no news.
+            Some(Remark::Info(text)) if self.stop.is_some() || self.number == 0 => self.log.info(&text),
+            None | Some(Remark::Info(_)) => {}
+            Some(Remark::Warning(text)) => self.reader.warn("path", &text),
+        }
+    }
+
+    /// Says what to do; nothing on `drive` before there was a path: somebody else may be at the wheel.
+    fn command(&mut self, time: Duration) {
+        let now = self.now();
+        let step = self.intake.follower.command(now);
+        self.tell_stop(&step);
+        let (number, frame) = (self.number, self.intake.frame());
+        let path = self.intake.follower.progress().map(Progress::path);
+        self.outlets.report.send(|| convert::report(number, now, frame, &step, path));
+        if path.is_some() || self.number > 0 {
+            self.outlets.drive.send(|| convert::drive(number, now, &self.base_frame, &step));
+            self.number = self.number.wrapping_add(1).max(1);
+        }
+        if self.markers.is_due(time)
+            && self.outlets.markers.has_listeners()
+            && let Some(path) = path
+        {
+            for marker in convert::markers(now, frame, path, &step) {
+                self.outlets.markers.send(|| marker);
+            }
+        }
+    }
+
+    /// A line for each change of mind.
+    fn tell_stop(&mut self, step: &Step) {
+        let kind = |stop: &StopReason| format!("{stop:?}").split('(').next().unwrap_or_default().to_owned();
+        let stop = step.stop.as_ref().map(kind);
+        if stop == self.stop {
+            return;
+        }
+        match &step.stop {
+            Some(StopReason::Arrived | StopReason::NoPath | StopReason::NoPose) | None => {
+                self.log.info(&step.stop.map_or_else(|| "drives".into(), |stop| format!("stands: {stop}")));
+            }
+            Some(reason) => self.log.warn(&format!("brakes: {reason}")),
+        }
+        self.stop = stop;
+    }
+}
+
+fn subscribe(links: &Links, input: Input, sender: Sender<(Input, Option<Letter>)>) -> Result<(), NodeError> {
+    // Nobody listens any more when the node is ending.
+    listen(links, input.topic(), move |letter| drop(sender.send((input, Some(letter)))))
+}
+
+/// The path of a file is older than any that comes.
+fn read_path(node: &str, file: &str, intake: &mut Intake, log: &Log) -> Result<(), NodeError> {
+    let refused = |problem: String| params::refused(node, "path_file", format!("{file}: {problem}"));
+    let text = fs::read_to_string(file).map_err(|problem| refused(problem.to_string()))?;
+    let waypoints = waypoint_file::parse(&text).map_err(|problem| refused(problem.to_string()))?;
+    match intake.take(&waypoints, Stamp::default()) {
+        Some(Remark::Warning(problem)) => Err(refused(problem)),
+        remark => {
+            tell(remark, log);
+            Ok(())
+        }
+    }
+}
+
+fn tell(remark: Option<Remark>, log: &Log) {
+    match remark {
+        None => {}
+        Some(Remark::Info(text)) => log.info(&text),
+        Some(Remark::Warning(text)) => log.warn(&text),
+    }
+}

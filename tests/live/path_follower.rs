@@ -1,0 +1,140 @@
+//! The follower beside the built-in simulator.
+
+use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use anytime_scan_matcher::app::planar_pose;
+use anytime_scan_matcher::control::path::Projection;
+use anytime_scan_matcher::drive::course::Course;
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
+use anytime_scan_matcher::messages::nav_msgs::{Odometry, Path as PathMessage};
+use anytime_scan_matcher::messages::own::FollowerReport;
+
+use anytime_scan_matcher::time::Stamp;
+
+use crate::common::drive::pose_message;
+use crate::common::graph::{Graph, PACKAGE, Process, within};
+use crate::common::skipped::skip;
+use crate::common::wire::say;
+
+/// The car touches a wall when it is this near to the middle of its rear axle, m.
+const GIRTH: f64 = 0.2;
+
+/// What was recorded of a drive.
+struct Drive {
+    truth: Vec<Pose2>,
+    reports: Vec<FollowerReport>,
+}
+
+impl Drive {
+    fn read(bag: &Path) -> Self {
+        let mut drive = Self { truth: Vec::new(), reports: Vec::new() };
+        for message in Bag::open(bag).unwrap().messages(None) {
+            let message = message.unwrap();
+            match message.connection.topic.as_str() {
+                "/odom" => drive.truth.push(planar_pose(&message.decode::<Odometry>().unwrap().pose.pose).unwrap()),
+                _ => drive.reports.push(message.decode().unwrap()),
+            }
+        }
+        drive
+    }
+
+    /// Way that the car went, m.
+    fn length(&self) -> f64 {
+        self.truth.windows(2).map(|pair| pair[0].between(&pair[1]).distance()).sum()
+    }
+
+    /// True distances from a path, m, in order.
+    fn errors(&self, course: &Course) -> Vec<f64> {
+        let nearest = |pose: &Pose2| course.path.project(pose, 0.0, course.path.length()).map(|place: Projection| place.distance);
+        let mut errors: Vec<f64> = self.truth.iter().step_by(5).filter_map(nearest).collect();
+        errors.sort_by(f64::total_cmp);
+        errors
+    }
+}
+
+fn corridor() -> PathBuf {
+    Path::new(PACKAGE).join("maps/corridor.yaml")
+}
+
+fn launch(graph: &Graph, world: &Path, start: &Pose2, arguments: &[&str]) -> Process {
+    let (world, start) =
+        (format!("world:={}", world.display()), format!("initial_pose:=[{}, {}, {}]", start.x, start.y, start.theta));
+    let launch = graph.launch("drive.launch", &[&[world.as_str(), &start][..], arguments].concat());
+    launch.expect_log("follows paths");
+    launch
+}
+
+/// Records truth and reports for some time.
+fn record(graph: &Graph, time: Duration) -> Drive {
+    let recorder = graph.record(&["/odom", "/follower/report"]);
+    thread::sleep(time);
+    Drive::read(&graph.finish_recording(recorder))
+}
+
+#[test]
+fn two_laps_at_four_metres_a_second_without_a_touch() {
+    let Some(graph) = Graph::start() else { return };
+    let levine = Path::new(PACKAGE).join("../shared/data/maps/levine.yaml");
+    let world = if levine.exists() {
+        levine
+    } else {
+        skip("no ../shared/data/maps: two laps of the corridor instead of levine");
+        corridor()
+    };
+    let course = Course::load(world.to_str().unwrap(), None).unwrap();
+    let _launch = launch(&graph, &world, &course.start(0.0), &["speed:=4", "estimator:=particle_filter"]);
+    let time = Duration::from_secs_f64(2.0 * course.path.length() / 3.0 + 5.0);
+    let drive = record(&graph, time);
+    let (errors, laps) = (drive.errors(&course), drive.length() / course.path.length());
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    let worst = *errors.last().unwrap();
+    let room = drive.truth.iter().map(|pose| course.world.clearance(pose.translation())).fold(f64::INFINITY, f64::min);
+    let stops: Vec<_> = drive.reports.iter().filter(|report| !report.driving).map(|report| report.reason.as_str()).collect();
+    eprintln!("{laps:.2} laps, {mean:.3} m off on average, {worst:.3} m at most, {room:.2} m of room, {} stops", stops.len());
+    assert!(laps >= 2.0, "{laps} laps: {:?}", stops.first());
+    assert!(room > GIRTH && worst < 0.25, "{worst} m off, {room} m of room");
+}
+
+#[test]
+fn it_drives_to_goals_and_lives_with_paths_nobody_should_send() {
+    let Some(graph) = Graph::start() else { return };
+    let start = Pose2::new(0.0, -6.1, 0.0);
+    let launch = launch(&graph, &corridor(), &start, &["speed:=2", "estimator:=truth", "path:=none"]);
+    launch.expect_log("stands: no path");
+    launch.expect_log("simulates a racecar");
+    thread::sleep(Duration::from_secs(3)); // poses and /tf come
+    let mut goal = PoseStamped { pose: pose_message(Pose2::new(6.0, -5.9, 0.0)), ..PoseStamped::default() };
+    goal.header.frame_id = "map".into();
+    say(&graph, "/move_base_simple/goal", &goal, 1);
+    launch.expect_log("drives");
+    launch.expect_log("stands: arrived");
+    let drive = record(&graph, Duration::from_secs(1));
+    let end = drive.truth.last().unwrap();
+    assert!((end.x - 6.0).hypot(end.y + 5.9) < 0.15, "{end:?}");
+    assert!(drive.reports.iter().all(|report| report.reason == "arrived" && report.speed == 0.0));
+    // Paths with holes, NaN, of one point and in an unknown frame, then a good one.
+    let nan = f64::NAN;
+    let send = |frame: &str, points: &[(f64, f64)], words: &str| {
+        say(&graph, "/path", &path(frame, points), 1);
+        launch.expect_log(words);
+        thread::sleep(Duration::from_secs(1)); // of each subject one line a second is said
+    };
+    send("map", &[(6.0, -5.9), (nan, 0.0), (9.0, -5.9)], "refused: point 1 of the path is not finite");
+    send("moon", &[(6.0, -5.9), (9.0, -5.9)], "/tf does not say how they lie");
+    send("map", &[(6.0, -5.9)], "the path has no length");
+    send("base_link", &[(0.0, 0.0), (0.5, 0.0), (2.5, 0.0)], "drives");
+    assert!(within(Duration::from_secs(20), || launch.log().matches("stands: arrived").count() >= 2), "{}", launch.log());
+}
+
+fn path(frame: &str, points: &[(f64, f64)]) -> PathMessage {
+    let mut path = PathMessage::default();
+    path.header.frame_id = frame.into();
+    path.header.stamp = Stamp::from_seconds(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()).into();
+    let pose = |&(x, y): &(f64, f64)| PoseStamped { pose: pose_message(Pose2::new(x, y, 0.0)), ..PoseStamped::default() };
+    path.poses = points.iter().map(pose).collect();
+    path
+}

@@ -1,0 +1,95 @@
+//! `anytime drive`, and the closed loop behind it.
+
+use std::fs;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn anytime(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_anytime")).arg("drive").args(arguments).output().unwrap()
+}
+
+fn cases(arguments: &[&str]) -> Vec<Value> {
+    let output = anytime(&[arguments, &["--json"]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    json["cases"].as_array().unwrap().clone()
+}
+
+fn number(case: &Value, path: &[&str]) -> f64 {
+    path.iter().fold(case, |value, name| &value[*name]).as_f64().unwrap_or(f64::NAN)
+}
+
+#[test]
+fn every_law_drives_laps_of_the_corridor_by_the_truth() {
+    for law in ["proportional", "pure_pursuit", "stanley"] {
+        let case = &cases(&["--estimator", "truth", "--law", law, "--laps", "1", "--speed", "5", "--seeds", "2"])[0];
+        assert_eq!((number(case, &["finished"]), number(case, &["wall_hits"])), (2.0, 0.0), "{law}: {case}");
+        assert!(number(case, &["lateral_error_m", "max"]) < 0.25, "{law}: {case}");
+    }
+}
+
+#[test]
+fn equal_seeds_give_equal_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = ["report.html", "figures.json", "path_1_seed_1.svg"];
+    let drive = || {
+        let out = folder.path().to_str().unwrap();
+        let bursts = ["--laps", "1", "--slowdown", "x100", "--bursts", "x5", "--policy", "fixed:10ms", "--beams", "361"];
+        let output = anytime(&[&bursts[..], &["--seeds", "2", "--out", out]].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        files.map(|name| fs::read(folder.path().join(name)).unwrap())
+    };
+    let (first, second) = (drive(), drive());
+    assert!(first == second);
+    let page = String::from_utf8(first[0].clone()).unwrap();
+    assert!(page.contains("fixed:10ms") && page.contains("<svg") && !page.contains("<script"));
+}
+
+#[test]
+fn answers_come_as_late_as_their_work_takes() {
+    let age = |slowdown: &str| {
+        let arguments = ["--laps", "1", "--speed", "2", "--estimator", "scan_matcher", "--beams", "361", "--slowdown", slowdown];
+        let case = &cases(&arguments)[0];
+        (number(case, &["pose_age_s", "mean"]), number(case, &["processor_s_per_lap"]), number(case, &["dropped_scans"]))
+    };
+    let ((quick, little, none), (slow, much, some)) = (age("1"), age("x400"));
+    assert!(slow > quick + 0.01 && none == 0.0 && some > 0.0, "{quick} {slow} {some}");
+    // Fewer scans are answered, each for 400 times as much.
+    assert!((40.0..800.0).contains(&(much / little)), "{little} {much}");
+}
+
+#[test]
+fn late_paths_leave_no_step_and_no_stop() {
+    let arguments = ["--estimator", "truth", "--laps", "1", "--speed", "4", "--replan", "5", "--path-delay", "2s"];
+    let case = &cases(&arguments)[0];
+    assert_eq!((number(case, &["finished"]), number(case, &["stopped"])), (1.0, 0.0), "{case}");
+    assert!(number(case, &["path_step_m"]) < 0.05, "{case}");
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_with_a_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let (broken, wall, open) =
+        (file("b.csv", "1,2\nx,y,z\n"), file("w.csv", "0,-7.5\n1,-7.5\n"), file("o.csv", "0,-6.1\n5,-6\n"));
+    for (arguments, code, words) in [
+        (&["--policy", "slow"][..], 2, "fixed:TIME"),
+        (&["--follow", "lookahead=1"], 2, "no such parameter"),
+        (&["--path", &broken], 1, "line 2"),
+        (&["--path", &wall], 1, "touches a wall"),
+        (&["--path", &open], 1, "--laps 1"),
+        (&["--estimator", "particle_filter"], 1, "maps/corridor.yaml"),
+        (&["--costs", "no/such.yaml"], 1, "no/such.yaml"),
+        (&["--slowdown", "x0"], 2, "factor"),
+    ] {
+        let output = anytime(arguments);
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {text}");
+        assert!(text.contains(words), "{arguments:?}: {text}");
+    }
+}
