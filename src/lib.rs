@@ -35,6 +35,7 @@
 //! | [`anytime`] | contracts, clocks, and refining until the contract ends |
 //! | [`odometry`] | predict, match, keep the map of keyframes: one scan to one pose |
 //! | [`localization`] | a particle filter: where on a map |
+//! | [`mapping`] | keyframes, a pose graph, loops, and the grid that comes of them |
 //! | [`io`] | bags, CARMEN logs, trajectories, relations, maps |
 //! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |
 //! | [`app`] | messages in, estimates out |
@@ -66,6 +67,7 @@ pub mod io;
 pub mod knobs;
 pub mod localization;
 pub mod map;
+pub mod mapping;
 pub mod matching;
 pub mod messages;
 pub mod odometry;

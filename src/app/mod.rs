@@ -273,6 +273,12 @@ impl App {
         Estimate { stamp, registration, contract, expected_error, elapsed, arrival, refined }
     }
 
+    /// The scan of a message that has just been answered, as the laser would have seen it at its stamp; `None` where it is malformed.
+    pub fn undistorted(&mut self, message: &LaserScan) -> Option<Scan> {
+        let scan = self.converter.convert(message, self.mount.upside_down).ok()?;
+        Some(self.odometry.undistorted(&scan, &self.mount.base_from_laser).unwrap_or(scan))
+    }
+
     /// What is odd in the messages so far and was not said before; each kind of it is said once.
     pub fn take_remarks(&mut self) -> Vec<String> {
         std::mem::take(&mut self.remarks)

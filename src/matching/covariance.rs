@@ -18,6 +18,9 @@ pub struct Uncertainty {
     pub condition_number: f64,
     /// Unit vector along which the pairs leave the translation open, if they do, in the reference frame. Classic pairs do not say.
     pub free_direction: Option<Point>,
+    /// What the pairs alone know of the pose (m, m, rad), without any prior; along a free direction what errors of the surfaces feign is
+    /// in it. Classic pairs do not say.
+    pub information: Option<Matrix3<f64>>,
 }
 
 /// Derivatives of the gradient by the ranges of the reference rays; kept between calls for its memory.
@@ -79,6 +82,7 @@ impl UncertaintyEstimator {
             covariance: sums.covariance(solution.range_noise),
             condition_number: condition_number(&symmetric(&sums.information), sums.distance / solution.pairs.len().max(1) as f64),
             free_direction: None,
+            information: None,
         }
     }
 }

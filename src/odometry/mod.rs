@@ -318,7 +318,7 @@ impl LaserOdometry {
 
     /// The scan without the distortion by the motion during its sweep, where there is any: at the velocity of the wheels, else of the
     /// last answers.
-    fn undistorted(&self, scan: &Scan, base_from_laser: &Pose2) -> Option<Scan> {
+    pub fn undistorted(&self, scan: &Scan, base_from_laser: &Pose2) -> Option<Scan> {
         let (first_ray, sweep) = self.sweep(scan);
         let seconds = sweep.abs();
         if !self.knobs.deskew || seconds == 0.0 || seconds > LONGEST_SWEEP {

@@ -12,7 +12,7 @@ const LAYERS: [&[&str]; 12] = [
     &["matching", "simulation", "evaluation", "cloud"],
     &["anytime"],
     &["odometry", "io"],
-    &["localization"],
+    &["localization", "mapping"],
     &["config"],
     &["app"],
     &["replay", "ros"],

@@ -526,6 +526,7 @@ impl Pairing for Projective {
                 None => condition_number(&information, self.sensed.mean_range),
             },
             free_direction,
+            information: (noise > 0.0).then(|| information / (noise * both)),
         }
     }
 
