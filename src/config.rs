@@ -18,6 +18,7 @@ use crate::localization::sensor::SensorKnobs;
 use crate::matching::MatchingKnobs;
 use crate::matching::rejection::RejectionKnobs;
 use crate::odometry::OdometryKnobs;
+use crate::scan::ScanKnobs;
 
 crate::knobs! {
     /// Frames.
@@ -98,6 +99,8 @@ pub struct Config {
     pub frames: FrameKnobs,
     /// `contract.*`
     pub contract: ContractKnobs,
+    /// `scan.*`
+    pub scan: ScanKnobs,
     /// `odometry.*`
     pub odometry: OdometryKnobs,
     /// `matching.*`
@@ -115,10 +118,11 @@ pub struct Config {
 }
 
 impl Config {
-    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 9] {
+    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 10] {
         [
             ("", &self.frames),
             ("contract", &self.contract),
+            ("scan", &self.scan),
             ("odometry", &self.odometry),
             ("matching", &self.matching),
             ("rejection", &self.rejection),
@@ -133,6 +137,7 @@ impl Config {
         match name {
             "" => Some(&mut self.frames),
             "contract" => Some(&mut self.contract),
+            "scan" => Some(&mut self.scan),
             "odometry" => Some(&mut self.odometry),
             "matching" => Some(&mut self.matching),
             "rejection" => Some(&mut self.rejection),

@@ -7,13 +7,14 @@
 //! found once the window is less than what they are apart, and before that none.
 
 use std::collections::{BTreeMap, BinaryHeap};
+use std::ops::Range;
 
 use super::edges::{EdgeMatcher, Match};
 use super::keyframe::Keyframe;
 use super::pose_graph::{Edge, EdgeKind, PoseGraph};
-use crate::geometry::{Pose2, PoseCovariance};
+use crate::geometry::{Point, Pose2, PoseCovariance};
 use crate::matching::SearchWindow;
-use crate::odometry::uncertainty::compound;
+use crate::odometry::uncertainty::turned;
 
 /// Keyframes must be so many apart to be of two visits.
 const APART: usize = 8;
@@ -61,23 +62,26 @@ const LEAST_WEIGHT: f64 = 0.25;
 /// Looks for places of earlier; remembers what it has tried.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LoopSearch {
-    /// By pair of keyframes: the guess of the last try.
-    tried: BTreeMap<(usize, usize), Pose2>,
-    /// Loop edges by their later keyframe.
+    /// By pair of keyframes: the guess of the last try, and what it has come to.
+    tried: BTreeMap<(usize, usize), (Pose2, Option<Match>)>,
+    /// The earlier keyframes of the loop edges, by the later ones.
     begun: BTreeMap<usize, Vec<usize>>,
 }
 
 /// What is known of the place of one keyframe seen from another.
 #[derive(Clone, Copy, Debug)]
 struct Window {
+    /// m.
     distance: f64,
+    /// rad.
     angle: f64,
 }
 
 impl Window {
     fn of(covariance: &PoseCovariance) -> Self {
-        let distance = SIGMAS * covariance.fixed_view::<2, 2>(0, 0).symmetric_eigenvalues().max().max(0.0).sqrt();
-        Self { distance, angle: SIGMAS * covariance.m33.max(0.0).sqrt() }
+        let (mean, half) = (0.5 * (covariance.m11 + covariance.m22), 0.5 * (covariance.m11 - covariance.m22));
+        let variance = mean + half.hypot(covariance.m12);
+        Self { distance: SIGMAS * variance.max(0.0).sqrt(), angle: SIGMAS * covariance.m33.max(0.0).sqrt() }
     }
 
     fn is_small(self) -> bool {
@@ -94,98 +98,94 @@ impl LoopSearch {
         while start < keyframes.len() {
             let is_of_stretch = |k: &Keyframe| k.run == keyframes[start].run && k.way - keyframes[start].way < STRETCH;
             let end = start + keyframes[start..].iter().take_while(|k| is_of_stretch(k)).count();
-            let mut stretch = Stretch { keyframes, graph, matcher: &mut *matcher, known: ways.from((start + end) / 2), limit };
+            let mut stretch = Stretch { keyframes, poses: graph.poses(), later: start..end, near: Vec::new(), limit };
+            stretch.find_near(&ways);
             if limit <= SMALL {
-                (start..end).for_each(|later| self.track(&mut stretch, later, &mut found));
+                self.track(&stretch, matcher, &mut found);
             } else {
-                self.seek(&mut stretch, start..end, &mut found);
+                self.seek(&stretch, matcher, &mut found);
             }
             start = end;
         }
         found
     }
 
-    /// Matches a keyframe to the nearest ones of other visits, where these can only be where they seem to be.
-    fn track(&mut self, stretch: &mut Stretch, later: usize, found: &mut Vec<Edge>) {
-        let mut near: Vec<(f64, usize)> = (0..later.saturating_sub(APART))
-            .filter(|&earlier| stretch.window(earlier).is_some_and(Window::is_small))
-            .map(|earlier| (stretch.difference(earlier, later), earlier))
-            .filter(|(difference, _)| *difference < REACH)
-            .collect();
-        near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for (_, earlier) in near.into_iter().take(EDGES) {
-            if self.begun.get(&later).is_some_and(|begun| begun.len() >= EDGES || begun.contains(&earlier)) {
-                continue;
-            }
-            let guess = stretch.guess(earlier, later);
-            if !self.is_news(earlier, later, &guess) {
-                continue;
-            }
-            let window = SearchWindow::default();
-            if let Some(made) = stretch.compare(earlier, later, guess, window).filter(|made| made.agreement >= AGREEING)
-                && guess.between(&made.motion).distance() <= 2.0 * SMALL
-            {
-                self.add(earlier, later, &made, found);
+    /// Matches keyframes to the nearest ones of other visits, where these can only be where they seem to be.
+    fn track(&mut self, stretch: &Stretch, matcher: &mut EdgeMatcher, found: &mut Vec<Edge>) {
+        for later in stretch.later.clone() {
+            let small = stretch.near.iter().filter(|(earlier, window)| window.is_small() && earlier + APART < later);
+            let mut near: Vec<(f64, usize)> = small
+                .map(|&(earlier, _)| (stretch.difference(earlier, later), earlier))
+                .filter(|(difference, _)| *difference < REACH)
+                .collect();
+            near.sort_by(|a, b| a.0.total_cmp(&b.0));
+            for (_, earlier) in near.into_iter().take(EDGES) {
+                if self.begun.get(&later).is_some_and(|begun| begun.len() >= EDGES || begun.contains(&earlier)) {
+                    continue;
+                }
+                let guess = stretch.guess(earlier, later);
+                let made = self.compare(stretch, matcher, (earlier, later), guess, SearchWindow::default());
+                let is_there = |made: &Match| guess.between(&made.motion).distance() <= 2.0 * SMALL;
+                if let Some(made) = made.filter(|made| made.agreement >= AGREEING && is_there(made)) {
+                    self.add(earlier, later, &made, found);
+                }
             }
         }
     }
 
     /// Looks for the keyframes of a stretch in all visits that may have come by.
-    fn seek(&mut self, stretch: &mut Stretch, later: std::ops::Range<usize>, found: &mut Vec<Edge>) {
-        if later.clone().any(|k| self.begun.contains_key(&k)) {
+    fn seek(&mut self, stretch: &Stretch, matcher: &mut EdgeMatcher, found: &mut Vec<Edge>) {
+        if stretch.later.clone().any(|k| self.begun.contains_key(&k)) {
             return;
         }
-        let visits = stretch.visits(&later);
-        let mut places: Vec<Place> = Vec::new();
-        for visit in visits {
-            if let Some(place) = self.place(stretch, &later, &visit) {
-                places.push(place);
-            }
-        }
+        let mut places: Vec<Place> = stretch.visits().iter().filter_map(|visit| self.place(stretch, matcher, visit)).collect();
         places.sort_by(|a, b| b.agreement.total_cmp(&a.agreement));
         let Some(best) = places.first() else { return };
-        let middle = stretch.graph.poses()[(later.start + later.end) / 2];
+        let middle = stretch.poses[stretch.middle()];
         let is_rival = |other: &Place| {
             other.agreement > best.agreement - RIVAL && !agree(&(other.correction * middle), &(best.correction * middle))
         };
-        if best.is_sure && !places[1..].iter().any(is_rival) {
+        if best.is_sure() && !places[1..].iter().any(is_rival) {
             for &(earlier, later, made) in &best.matches {
                 self.add(earlier, later, &made, found);
             }
         }
     }
 
-    /// Where a stretch belongs by one visit: the correction that most of its keyframes in a row agree on.
-    fn place(&mut self, stretch: &mut Stretch, later: &std::ops::Range<usize>, visit: &std::ops::Range<usize>) -> Option<Place> {
+    /// Where a stretch belongs by one visit: the correction that its keyframes agree on; `None` where they do not.
+    fn place(&mut self, stretch: &Stretch, matcher: &mut EdgeMatcher, visit: &[(usize, Window)]) -> Option<Place> {
         let mut place: Option<Place> = None;
-        for j in later.clone() {
-            let nearest = visit.clone().filter(|&i| i + APART < j);
-            let nearest = nearest.min_by(|&a, &b| stretch.difference(a, j).total_cmp(&stretch.difference(b, j)))?;
-            let Some(Window { distance, angle }) = stretch.window(nearest) else { continue };
-            let guess = stretch.guess(nearest, j);
-            if !self.is_news(nearest, j, &guess) {
-                return None;
-            }
+        for later in stretch.later.clone() {
+            let before = visit.iter().filter(|(earlier, _)| earlier + APART < later);
+            let difference = |earlier: usize| stretch.difference(earlier, later);
+            let &(earlier, Window { distance, angle }) = before.min_by(|a, b| difference(a.0).total_cmp(&difference(b.0)))?;
             let window = SearchWindow {
-                distance: distance.clamp(SMALL, stretch.limit),
+                distance: distance.max(SMALL),
                 angle: angle.clamp(SMALL_TURN, MOST_TURN),
                 doubtful_agreement: f64::INFINITY,
             };
-            let made = stretch.compare(nearest, j, guess, window)?;
-            let poses = stretch.graph.poses();
-            let correction = poses[nearest] * made.motion * poses[j].inverse();
+            let place_so_far = place.as_ref().filter(|_| later + 1 < stretch.later.end);
+            let (guess, window) = match place_so_far {
+                // The first and the last look everywhere; those between need only confirm.
+                Some(place) => {
+                    let placed = place.correction * stretch.poses[later];
+                    (stretch.poses[earlier].between(&placed), SearchWindow::default())
+                }
+                None => (stretch.guess(earlier, later), window),
+            };
+            let made = self.compare(stretch, matcher, (earlier, later), guess, window)?;
             if made.agreement < AGREEING || made.condition_number > GREATEST_CONDITION {
-                return place.filter(|place| place.matches.len() >= IN_A_ROW);
+                break;
             }
-            let place = place.get_or_insert_with(|| Place { correction, agreement: 1.0, matches: Vec::new(), is_sure: false });
-            if !agree(&(place.correction * poses[j]), &(correction * poses[j])) {
+            let correction = stretch.poses[earlier] * made.motion * stretch.poses[later].inverse();
+            let place = place.get_or_insert_with(|| Place { correction, agreement: 1.0, matches: Vec::new() });
+            if !agree(&(place.correction * stretch.poses[later]), &(correction * stretch.poses[later])) {
                 return None;
             }
             place.agreement = place.agreement.min(made.agreement);
-            place.matches.push((nearest, j, made));
-            place.is_sure = place.matches.len() >= IN_A_ROW && place.agreement >= SURE;
+            place.matches.push((earlier, later, made));
         }
-        place
+        place.filter(|place| place.matches.len() >= IN_A_ROW)
     }
 
     fn add(&mut self, from: usize, to: usize, made: &Match, found: &mut Vec<Edge>) {
@@ -193,17 +193,25 @@ impl LoopSearch {
         found.push(Edge { from, to, motion: made.motion, covariance: made.covariance, kind: EdgeKind::Loop });
     }
 
-    /// Whether a pair has not been tried from about this guess; notes that it is.
-    fn is_news(&mut self, earlier: usize, later: usize, guess: &Pose2) -> bool {
-        let is_old = |tried: &Pose2| {
-            let moved = tried.between(guess);
-            moved.distance() < NEWS && moved.theta.abs() < NEWS
-        };
-        let is_news = !self.tried.get(&(earlier, later)).is_some_and(is_old);
-        if is_news {
-            self.tried.insert((earlier, later), *guess);
+    /// What a match of two keyframes says that see the same; it is made anew only where the guess is another one than before.
+    fn compare(
+        &mut self,
+        stretch: &Stretch,
+        matcher: &mut EdgeMatcher,
+        (earlier, later): (usize, usize),
+        guess: Pose2,
+        window: SearchWindow,
+    ) -> Option<Match> {
+        if let Some((tried, made)) = self.tried.get(&(earlier, later)) {
+            let moved = tried.between(&guess);
+            if moved.distance() < NEWS && moved.theta.abs() < NEWS {
+                return *made;
+            }
         }
-        is_news
+        let [of_earlier, of_later] = [earlier, later].map(|k| &stretch.keyframes[k].view);
+        let made = matcher.compare(of_earlier, of_later, guess, window).filter(|made| made.overlap >= OVERLAP);
+        self.tried.insert((earlier, later), (guess, made));
+        made
     }
 }
 
@@ -221,25 +229,33 @@ struct Place {
     agreement: f64,
     /// Earlier and later keyframe, and what their match says.
     matches: Vec<(usize, usize, Match)>,
-    is_sure: bool,
 }
 
-/// A stretch of the path, and what is known of all keyframes from it.
+impl Place {
+    fn is_sure(&self) -> bool {
+        self.agreement >= SURE
+    }
+}
+
+/// A stretch of the path.
 struct Stretch<'a> {
     keyframes: &'a [Keyframe],
-    graph: &'a PoseGraph,
-    matcher: &'a mut EdgeMatcher,
-    known: Vec<Option<PoseCovariance>>,
+    poses: &'a [Pose2],
+    /// Its keyframes.
+    later: Range<usize>,
+    /// Earlier keyframes of other visits that may be near, and how well that is known.
+    near: Vec<(usize, Window)>,
+    /// Greatest window, m.
     limit: f64,
 }
 
 impl Stretch<'_> {
-    fn window(&self, earlier: usize) -> Option<Window> {
-        self.known[earlier].as_ref().map(Window::of)
+    fn middle(&self) -> usize {
+        (self.later.start + self.later.end) / 2
     }
 
     fn guess(&self, earlier: usize, later: usize) -> Pose2 {
-        self.graph.poses()[earlier].between(&self.graph.poses()[later])
+        self.poses[earlier].between(&self.poses[later])
     }
 
     /// How different what is seen is: turns count as metres do.
@@ -248,35 +264,34 @@ impl Stretch<'_> {
         motion.distance() + motion.theta.abs()
     }
 
-    /// Keyframes that may be near the stretch, visit by visit, of which a window of more than the small one and up to the limit is known.
-    fn visits(&self, later: &std::ops::Range<usize>) -> Vec<std::ops::Range<usize>> {
-        let middle = (later.start + later.end) / 2;
-        let mut visits: Vec<std::ops::Range<usize>> = Vec::new();
-        for earlier in 0..later.start.saturating_sub(APART) {
-            let Some(window) = self.window(earlier).filter(|window| !window.is_small()) else { continue };
-            let far = self.guess(earlier, middle).distance() > REACH + window.distance.min(self.limit);
-            if far || window.distance > self.limit {
-                continue;
-            }
-            let way = self.keyframes[earlier].way;
-            match visits.last_mut() {
-                Some(visit) if way - self.keyframes[visit.end - 1].way < VISIT => visit.end = earlier + 1,
-                _ => visits.push(earlier..earlier + 1),
-            }
+    /// Finds the keyframes that may be near: first those that are within the limit, then of these the ones whose windows reach here.
+    fn find_near(&mut self, ways: &Ways) {
+        let place = self.poses[self.middle()].translation();
+        let away = |earlier: usize| (self.poses[earlier].translation() - place).norm() - REACH - STRETCH;
+        let reached: Vec<usize> =
+            (0..self.later.end.saturating_sub(APART)).filter(|&earlier| away(earlier) < self.limit).collect();
+        if reached.is_empty() {
+            return;
         }
-        visits
+        let known = ways.from(self.middle());
+        let window = |earlier: usize| Some((earlier, Window::of(known[earlier].as_ref()?)));
+        let near = reached.into_iter().filter_map(window);
+        self.near = near.filter(|&(earlier, w)| w.distance <= self.limit && away(earlier) < w.distance).collect();
     }
 
-    fn compare(&mut self, earlier: usize, later: usize, guess: Pose2, window: SearchWindow) -> Option<Match> {
-        let [earlier, later] = [earlier, later].map(|k| &self.keyframes[k].view);
-        self.matcher.compare(earlier, later, guess, window).filter(|made| made.overlap >= OVERLAP)
+    /// The near keyframes whose windows are not small, visit by visit.
+    fn visits(&self) -> Vec<&[(usize, Window)]> {
+        let way = |near: &(usize, Window)| self.keyframes[near.0].way;
+        let visits = self.near.chunk_by(|a, b| way(b) - way(a) < VISIT);
+        visits.filter(|visit| visit.iter().any(|(_, window)| !window.is_small())).collect()
     }
 }
 
 /// The graph's edges by the keyframes they are of, to find the best ways.
 struct Ways<'a> {
-    graph: &'a PoseGraph,
-    edges: Vec<Vec<usize>>,
+    poses: &'a [Pose2],
+    /// By keyframe: the next one, and the covariance of the motion there, along the axes of the map.
+    steps: Vec<Vec<(usize, PoseCovariance)>>,
 }
 
 /// A keyframe to go on from: the one known best first.
@@ -302,51 +317,46 @@ impl PartialOrd for Reached {
 
 impl<'a> Ways<'a> {
     fn new(graph: &'a PoseGraph) -> Self {
-        let mut edges = vec![Vec::new(); graph.poses().len()];
-        for (number, edge) in graph.edges().iter().enumerate() {
+        let poses = graph.poses();
+        let mut steps = vec![Vec::new(); poses.len()];
+        for (number, Edge { from, to, motion, covariance, .. }) in graph.edges().iter().enumerate() {
             if graph.weight(number) >= LEAST_WEIGHT {
-                edges[edge.from].push(number);
-                edges[edge.to].push(number);
+                steps[*from].push((*to, turned(covariance, poses[*from].theta)));
+                steps[*to].push((*from, turned(&reversed(motion, covariance), poses[*to].theta)));
             }
         }
-        Self { graph, edges }
+        Self { poses, steps }
     }
 
-    /// Covariance of every keyframe's place seen from one, by the best way to it; `None` where no way leads.
+    /// Covariance of every keyframe's place as seen from one, along the axes of the map, by the best way to it; `None` where none leads.
     fn from(&self, source: usize) -> Vec<Option<PoseCovariance>> {
-        let mut known: Vec<Option<PoseCovariance>> = vec![None; self.edges.len()];
-        let mut is_done = vec![false; self.edges.len()];
+        let mut known: Vec<Option<PoseCovariance>> = vec![None; self.steps.len()];
+        let mut least = vec![f64::INFINITY; self.steps.len()];
         let mut queue = BinaryHeap::from([Reached { variance: 0.0, keyframe: source }]);
-        let mut best = vec![f64::INFINITY; self.edges.len()];
-        known[source] = Some(PoseCovariance::zeros());
-        let poses = self.graph.poses();
-        while let Some(Reached { keyframe, .. }) = queue.pop() {
-            if std::mem::replace(&mut is_done[keyframe], true) {
-                continue;
-            }
-            let Some(here) = known[keyframe] else { continue };
-            let place = poses[source].between(&poses[keyframe]);
-            for &number in &self.edges[keyframe] {
-                let edge = &self.graph.edges()[number];
-                let (next, step, covariance) = if edge.from == keyframe {
-                    (edge.to, edge.motion, edge.covariance)
-                } else {
-                    (edge.from, edge.motion.inverse(), reversed(&edge.motion, &edge.covariance))
-                };
-                if is_done[next] {
-                    continue;
-                }
-                let there = compound(&place, &here, &step, &covariance);
+        (known[source], least[source]) = (Some(PoseCovariance::zeros()), 0.0);
+        while let Some(Reached { keyframe, variance }) = queue.pop() {
+            let Some(here) = known[keyframe].filter(|_| variance <= least[keyframe]) else { continue };
+            for (next, step) in &self.steps[keyframe] {
+                let there = carried(&here, &(self.poses[*next].translation() - self.poses[keyframe].translation())) + step;
                 let variance = there.m11 + there.m22 + LEVER * LEVER * there.m33;
-                if variance < best[next] {
-                    best[next] = variance;
-                    known[next] = Some(there);
-                    queue.push(Reached { variance, keyframe: next });
+                if variance < least[*next] {
+                    (least[*next], known[*next]) = (variance, Some(there));
+                    queue.push(Reached { variance, keyframe: *next });
                 }
             }
         }
         known
     }
+}
+
+/// Covariance of a pose that is carried `way` farther, by a motion without error.
+fn carried(covariance: &PoseCovariance, way: &Point) -> PoseCovariance {
+    let (x, y, turn) = (way.x, way.y, covariance.m33);
+    let (with_x, with_y) = (covariance.m13 - y * turn, covariance.m23 + x * turn);
+    let xx = covariance.m11 - y * (covariance.m13 + with_x);
+    let yy = covariance.m22 + x * (covariance.m23 + with_y);
+    let xy = covariance.m12 + x * covariance.m13 - y * with_y;
+    PoseCovariance::new(xx, xy, with_x, xy, yy, with_y, with_x, with_y, turn)
 }
 
 /// Covariance of the way back, along the axes of the end of `motion`.
@@ -360,4 +370,47 @@ fn reversed(motion: &Pose2, covariance: &PoseCovariance) -> PoseCovariance {
         0.0, 0.0, -1.0,
     );
     by_motion * covariance * by_motion.transpose()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::odometry::uncertainty::{compound, diagonal};
+
+    fn near(a: &PoseCovariance, b: &PoseCovariance) -> bool {
+        (a - b).amax() < 1e-9
+    }
+
+    #[test]
+    fn uncertainty_goes_along_ways_as_it_does_through_poses() {
+        let (a, b) = (Pose2::new(3.0, -2.0, 0.7), Pose2::new(1.5, 0.4, -0.3));
+        let (of_a, of_b) =
+            (turned(&diagonal(0.1, 0.05), 0.3), PoseCovariance::new(0.04, 0.01, 0.0, 0.01, 0.02, 0.001, 0.0, 0.001, 0.003));
+        let expected = compound(&a, &of_a, &b, &of_b);
+        let way = (a * b).translation() - a.translation();
+        assert!(near(&(carried(&of_a, &way) + turned(&of_b, a.theta)), &expected));
+        assert!(near(&reversed(&b.inverse(), &reversed(&b, &of_b)), &of_b), "there and back");
+    }
+
+    #[test]
+    fn a_loop_makes_windows_small() {
+        let mut graph = PoseGraph::default();
+        let covariance = diagonal(0.02, 0.01);
+        for i in 0..100 {
+            graph.add_pose(Pose2::new(f64::from(i), 0.0, 0.0));
+        }
+        let mut edge = |from: usize, to: usize| {
+            let motion = Pose2::new(to as f64 - from as f64, 0.0, 0.0);
+            graph.add_edge(Edge { from, to, motion, covariance, kind: EdgeKind::Sequence });
+        };
+        (1..100).for_each(|to| edge(to - 1, to));
+        let free = Window::of(&Ways::new(&graph).from(99)[0].unwrap());
+        let motion = Pose2::new(99.0, 0.0, 0.0);
+        graph.add_edge(Edge { from: 0, to: 99, motion, covariance, kind: EdgeKind::Loop });
+        let closed = Window::of(&Ways::new(&graph).from(99)[0].unwrap());
+        assert!(free.distance > 10.0 && free.angle > 0.25 && !free.is_small(), "{free:?}");
+        assert!(closed.distance < 3.0 && closed.angle < 0.04, "{closed:?}");
+        graph.add_pose(Pose2::IDENTITY);
+        assert!(Ways::new(&graph).from(99)[100].is_none(), "no way leads there");
+    }
 }

@@ -10,16 +10,25 @@
 //! | `edges` | matches of two keyframes, with honest covariances |
 //! | `pose_graph`, `sparse` | the poses that fit all edges best |
 //! | `loops` | where to look for places of earlier, and what to believe |
+//! | `joining` | where on the map a run begins of which nobody knows |
 //! | `trajectory` | every scan between its keyframes |
 //! | `grid` | what stands where |
+//! | `self_hits` | rays that see the robot itself |
+//! | `graph_file` | all of it in a file, to go on with |
 
 mod edges;
+#[cfg(feature = "cli")]
+mod graph_file;
 mod grid;
+mod joining;
 mod keyframe;
 mod loops;
 mod pose_graph;
+mod self_hits;
 pub mod sparse;
 mod trajectory;
+
+use std::ops::Range;
 
 use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::{Pose2, PoseCovariance};
@@ -29,11 +38,14 @@ use crate::odometry::uncertainty;
 use crate::scan::Scan;
 use crate::time::Stamp;
 use edges::EdgeMatcher;
+#[cfg(feature = "cli")]
+pub use graph_file::GraphFileError;
 pub use grid::{Evidence, EvidenceGrid};
 use keyframe::Spacing;
 pub use keyframe::{Keyframe, Passage, Sighting};
 use loops::{LoopSearch, WINDOWS};
 pub use pose_graph::{Edge, EdgeKind, PoseGraph};
+pub use self_hits::SelfHits;
 use trajectory::Placer;
 pub use trajectory::Step;
 
@@ -43,6 +55,10 @@ const SEQUENCE: usize = 3;
 const AGREEING: f64 = 0.6;
 /// Rounds of looking for places of earlier at most: each finds some, or is of a greater window.
 const MAX_ROUNDS: usize = 60;
+/// Poses are found to this, m and rad, while more is to be found, ...
+const ROUGHLY: f64 = 1e-3;
+/// ... and to this in the end.
+const FINALLY: f64 = 1e-5;
 /// A step that is not known errs by this, m ...
 const LOST_ERROR: f64 = 1.0;
 /// ... and this, rad.
@@ -187,19 +203,70 @@ impl Mapper {
         self.window = if found.is_empty() { self.window + 1 } else { 0 };
         if !found.is_empty() {
             found.into_iter().for_each(|edge| self.graph.add_edge(edge));
-            self.graph.optimize();
+            self.graph.optimize(ROUGHLY);
         }
         self.window < WINDOWS.len()
     }
 
     /// Improves the map as long as anything is found.
     pub fn finish(&mut self) {
-        self.graph.optimize();
-        for _ in 0..MAX_ROUNDS {
-            if !self.improve() {
-                break;
+        self.graph.optimize(ROUGHLY);
+        self.window = 0;
+        while self.join_runs() || self.window < WINDOWS.len() {
+            for _ in 0..MAX_ROUNDS {
+                if !self.improve() {
+                    break;
+                }
             }
+            self.window = WINDOWS.len();
         }
+        self.graph.optimize(FINALLY);
+    }
+
+    /// Places runs on the map that do not hang together with it; answers whether any was placed.
+    fn join_runs(&mut self) -> bool {
+        let mut has_joined = false;
+        for run in self.runs() {
+            let is_placed = self.placed();
+            if is_placed[run.start] {
+                continue;
+            }
+            let known: Vec<usize> = (0..is_placed.len()).filter(|&k| is_placed[k]).collect();
+            let poses = self.graph.poses();
+            let Some(junction) = joining::find(&self.keyframes, poses, &known, run.clone(), &mut self.matcher) else { continue };
+            self.graph.move_poses(run.clone(), &junction.correction);
+            self.by_odometry[run].iter_mut().for_each(|pose| *pose = junction.correction * *pose);
+            junction.edges.into_iter().for_each(|edge| self.graph.add_edge(edge));
+            self.graph.optimize(ROUGHLY);
+            (has_joined, self.window) = (true, 0);
+        }
+        has_joined
+    }
+
+    /// The keyframes of each run.
+    fn runs(&self) -> Vec<Range<usize>> {
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        for run in self.keyframes.chunk_by(|a, b| a.run == b.run) {
+            let start = runs.last().map_or(0, |last| last.end);
+            runs.push(start..start + run.len());
+        }
+        runs
+    }
+
+    /// Whether each keyframe is on the map: hangs together with the most others.
+    fn placed(&self) -> Vec<bool> {
+        let components = self.graph.components();
+        let mut sizes = vec![0_usize; components.len()];
+        components.iter().for_each(|&first| sizes[first] += 1);
+        let most = sizes.iter().copied().max().unwrap_or_default();
+        let largest = sizes.iter().position(|&size| size == most);
+        components.iter().map(|first| Some(*first) == largest).collect()
+    }
+
+    /// Runs whose place on the map is not known: they are not drawn.
+    pub fn unplaced_runs(&self) -> usize {
+        let is_placed = self.placed();
+        self.runs().iter().filter(|run| !is_placed[run.start]).count()
     }
 
     /// Pose of the base at every scan, by what is known now.
@@ -215,7 +282,8 @@ impl Mapper {
     pub fn grid(&self, resolution: f64) -> EvidenceGrid {
         let placer = self.placer();
         let mut grid = EvidenceGrid::new(resolution);
-        for Drawn { step, points } in &self.drawn {
+        let is_placed = self.placed();
+        for Drawn { step, points } in self.drawn.iter().filter(|drawn| is_placed[drawn.step.keyframe]) {
             grid.draw(points, &placer.place(step, &step.odom_from_laser));
         }
         grid

@@ -13,6 +13,8 @@
 //! wrong does not bend the rest: Huber's kernel first, which finds the way from far off, then that of Geman and `McClure` (1987), with which
 //! an edge far from all others weighs next to nothing.
 
+use std::ops::Range;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::sparse::Pattern;
@@ -22,8 +24,6 @@ use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 const KERNEL_SIGMAS: f64 = 3.0;
 /// Steps with one kernel at most.
 const MAX_STEPS: usize = 15;
-/// A step that moves no pose by more than this (m, rad) is the last one.
-const EPSILON: f64 = 1e-5;
 /// A step that makes the sum greater is halved so many times at most.
 const MAX_HALVINGS: usize = 6;
 
@@ -117,9 +117,9 @@ impl PoseGraph {
         &self.edges
     }
 
-    /// Moves poses from `first` on as one: `correction` takes them to where they belong.
-    pub fn move_from(&mut self, first: usize, correction: &Pose2) {
-        for pose in self.poses.iter_mut().skip(first) {
+    /// Moves poses as one: `correction` takes them to where they belong.
+    pub fn move_poses(&mut self, which: Range<usize>, correction: &Pose2) {
+        for pose in self.poses.iter_mut().take(which.end).skip(which.start) {
             *pose = *correction * *pose;
         }
     }
@@ -145,22 +145,23 @@ impl PoseGraph {
         if weights > 0.0 { (sum / (3.0 * weights)).sqrt() } else { 0.0 }
     }
 
-    /// The poses that fit the edges best. Of poses that hang together the first one stays.
-    pub fn optimize(&mut self) {
-        let fixed = self.anchors();
+    /// The poses that fit the edges best, but for `epsilon` (m, rad): a step that moves none by more is the last one. Of poses that hang
+    /// together the first one stays.
+    pub fn optimize(&mut self, epsilon: f64) {
+        let fixed: Vec<bool> = self.components().iter().enumerate().map(|(i, first)| i == *first).collect();
         let pairs = self.edges.iter().map(|edge| (edge.from, edge.to));
         let pattern = Pattern::new(self.poses.len(), pairs);
         for kernel in [Kernel::Huber, Kernel::GemanMcClure] {
             for _ in 0..MAX_STEPS {
-                if self.step(kernel, &pattern, &fixed).is_none_or(|moved| moved < EPSILON) {
+                if self.step(kernel, &pattern, &fixed).is_none_or(|moved| moved < epsilon) {
                     break;
                 }
             }
         }
     }
 
-    /// Whether each pose is the first one of those that it hangs together with.
-    fn anchors(&self) -> Vec<bool> {
+    /// By pose: the first one of those that it hangs together with.
+    pub fn components(&self) -> Vec<usize> {
         let mut first: Vec<usize> = (0..self.poses.len()).collect();
         fn root(first: &mut [usize], mut i: usize) -> usize {
             while first[i] != i {
@@ -173,7 +174,7 @@ impl PoseGraph {
             let (a, b) = (root(&mut first, edge.from), root(&mut first, edge.to));
             first[a.max(b)] = a.min(b);
         }
-        (0..first.len()).map(|i| first[i] == i).collect()
+        (0..first.len()).map(|i| root(&mut first, i)).collect()
     }
 
     /// One step; answers by how much it moves a pose at most, `None` where it gains nothing.
@@ -322,7 +323,7 @@ mod tests {
     #[test]
     fn a_step_is_that_of_the_dense_system() {
         let (_, graph) = square(5, 2, 1);
-        let fixed = graph.anchors();
+        let fixed: Vec<bool> = graph.components().iter().enumerate().map(|(i, first)| i == *first).collect();
         let count = graph.poses().len();
         let pattern = Pattern::new(count, graph.edges().iter().map(|edge| (edge.from, edge.to)));
         let step = graph.gauss_newton(Kernel::Huber, &pattern, &fixed).unwrap();
@@ -350,7 +351,7 @@ mod tests {
     fn loops_put_a_path_right() {
         let (truth, mut graph) = square(20, 3, 2);
         let before = worst(&truth, &graph);
-        graph.optimize();
+        graph.optimize(1e-6);
         let after = worst(&truth, &graph);
         assert!(before > 0.2 && after < 0.15 && graph.residual() < 1.2, "{before} {after} {}", graph.residual());
     }
@@ -359,13 +360,13 @@ mod tests {
     fn wrong_edges_bend_nothing() {
         let (truth, mut graph) = square(20, 3, 3);
         let mut right = graph.clone();
-        right.optimize();
+        right.optimize(1e-6);
         let covariance = PoseCovariance::from_diagonal(&[1e-4, 1e-4, 4e-6].into());
         for (from, to) in [(10, 90), (30, 150), (47, 200)] {
             let motion = truth[from].between(&truth[to]) * Pose2::new(2.0, -1.0, 0.4);
             graph.add_edge(Edge { from, to, motion, covariance, kind: EdgeKind::Loop });
         }
-        graph.optimize();
+        graph.optimize(1e-6);
         let bent = right.poses().iter().zip(graph.poses()).map(|(a, b)| a.between(b).distance()).fold(0.0, f64::max);
         assert!(bent < 0.01, "{bent}");
         let wrong = graph.edges().len() - 1;
@@ -383,7 +384,7 @@ mod tests {
             let motion = Pose2::new(1.5, 0.0, 0.0);
             graph.add_edge(Edge { from, to: from + 1, motion, covariance, kind: EdgeKind::Sequence });
         }
-        graph.optimize();
+        graph.optimize(1e-6);
         let x: Vec<f64> = graph.poses().iter().map(|pose| pose.x).collect();
         assert!(x.iter().zip([0.0, 1.5, 2.0, 3.5]).all(|(x, expected)| (x - expected).abs() < 1e-9), "{x:?}");
     }
@@ -407,7 +408,7 @@ mod tests {
             kind: EdgeKind::Loop,
         });
         assert!(graph.edges().is_empty());
-        graph.optimize();
+        graph.optimize(1e-6);
         assert_eq!((graph.poses(), graph.residual()), (&[Pose2::IDENTITY][..], 0.0));
     }
 }

@@ -7,8 +7,10 @@ use comfy_table::{Table, presets};
 use serde_json::{Value, json};
 
 use crate::evaluation::trajectory::StampedPose;
+use crate::knobs::KnobValue;
 use crate::map::grid::{Cell, OccupancyGrid};
 use crate::mapping::{Mapper, Progress};
+use crate::scan::Sectors;
 
 /// Time that the stages have taken.
 #[derive(Clone, Copy, Debug, Default)]
@@ -37,6 +39,8 @@ pub struct MapSummary {
     pub size: (usize, usize),
     /// Free space, m^2.
     pub area: f64,
+    /// Where the laser sees the robot itself.
+    pub self_hits: Sectors,
     /// Time by stage.
     pub stages: Stages,
     /// What the user should know.
@@ -45,7 +49,14 @@ pub struct MapSummary {
 
 impl MapSummary {
     /// Of a map that is done.
-    pub fn new(mapper: &Mapper, path: &[StampedPose], map: &OccupancyGrid, stages: Stages, problems: Vec<String>) -> Self {
+    pub fn new(
+        mapper: &Mapper,
+        path: &[StampedPose],
+        map: &OccupancyGrid,
+        self_hits: Sectors,
+        stages: Stages,
+        problems: Vec<String>,
+    ) -> Self {
         let free = map.cells().iter().filter(|cell| **cell == Cell::Free).count();
         Self {
             scans: path.len(),
@@ -54,6 +65,7 @@ impl MapSummary {
             progress: mapper.progress(),
             size: (map.width(), map.height()),
             area: free as f64 * map.resolution() * map.resolution(),
+            self_hits,
             stages,
             problems,
         }
@@ -72,6 +84,7 @@ impl MapSummary {
             "loop_residual_m": {"before": residual_before, "after": residual_after},
             "size": [self.size.0, self.size.1],
             "free_area_m2": self.area,
+            "self_hits": self.self_hits.to_value(),
             "time_s": {
                 "replay": replay.as_secs_f64(),
                 "keyframes": keyframes.as_secs_f64(),
@@ -97,6 +110,10 @@ impl MapSummary {
             table.add_row(["they miss", &format!("{residual_before:.3} m by odometry, {residual_after:.3} m on the map (RMS)")]);
         }
         table.add_row(["map", &format!("{} x {} cells, {:.1} m^2 free", self.size.0, self.size.1, self.area)]);
+        if !self.self_hits.0.is_empty() {
+            let sectors = self.self_hits.to_value();
+            table.add_row(["the laser sees the robot", &format!("masked; for other runs: scan.masked_sectors={sectors}")]);
+        }
         let [replay, keyframes, graph, grid] = [replay, keyframes, graph, grid].map(|time| time.as_secs_f64());
         table.add_row([
             "time",

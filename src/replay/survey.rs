@@ -1,12 +1,12 @@
 //! What a replay hands to the mapper: every scan with what odometry makes of it.
 
 use crate::app::{App, Estimate};
-use crate::mapping::{Mapper, Passage, Sighting};
+use crate::mapping::{Mapper, Passage, SelfHits, Sighting};
 use crate::messages::sensor_msgs::LaserScan;
 use crate::odometry::Outcome;
 
-/// Hands a scan that has been answered to the mapper.
-pub fn hand_over(mapper: &mut Mapper, message: &LaserScan, estimate: &Estimate, app: &mut App) {
+/// Hands a scan that has been answered to the mapper, and to what looks for the robot in it.
+pub fn hand_over(mapper: &mut Mapper, self_hits: &mut SelfHits, message: &LaserScan, estimate: &Estimate, app: &mut App) {
     let registration = &estimate.registration;
     let (odom_from_base, base_from_laser) = (registration.odom_from_base, app.mount().0.base_from_laser);
     let passage = match &registration.outcome {
@@ -15,10 +15,11 @@ pub fn hand_over(mapper: &mut Mapper, message: &LaserScan, estimate: &Estimate, 
         // Where no match was tried the scan was malformed, or one that had been answered before.
         Outcome::Predicted(_) => registration.refinement.map(|_| Passage::Lost),
     };
-    let scan = passage.and_then(|passage| Some((passage, app.undistorted(message)?)));
+    let scan = passage.and_then(|passage| Some((passage, app.scan(message)?)));
     match scan {
         Some((passage, scan)) => {
-            mapper.add(Sighting { scan, odom_from_base, base_from_laser, passage });
+            self_hits.add(&scan, &(odom_from_base * base_from_laser));
+            mapper.add(Sighting { scan: app.undistorted(scan), odom_from_base, base_from_laser, passage });
         }
         None => mapper.add_unseen(estimate.stamp, odom_from_base, &base_from_laser),
     }
