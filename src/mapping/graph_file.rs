@@ -94,7 +94,9 @@ impl Mapper {
             out.count(keyframe.run);
             out.number(keyframe.way);
             out.number(self.ways[i]);
-            [keyframe.odom_from_laser, self.by_odometry[i], self.graph.poses()[i]].iter().for_each(|pose| out.pose(pose));
+            for pose in [keyframe.odom_from_laser, self.by_odometry[i], self.graph.poses()[i]] {
+                out.pose(&pose);
+            }
             out.scan(keyframe.view.scan());
         }
         out
@@ -253,7 +255,9 @@ impl Writer {
     }
 
     fn pose(&mut self, pose: &Pose2) {
-        [pose.x, pose.y, pose.theta].into_iter().for_each(|number| self.number(number));
+        for number in [pose.x, pose.y, pose.theta] {
+            self.number(number);
+        }
     }
 
     /// Beams by their angles where they are even, else one by one; ranges with `inf` where nothing was seen.

@@ -1,7 +1,8 @@
 //! What stands where, by where rays end and what they pass.
 //!
-//! A cell counts the rays that end in it and those that pass it. Where at least a quarter of a cell's rays end, and three in all, something
-//! stands; who has walked by is passed by later rays, and gone. Two things keep walls whole (figures in README.md):
+//! A cell counts the rays that end in it and those that pass it. Where more than a quarter of a cell's rays end, and three in all, something
+//! stands; who has walked by is passed by later rays, and gone. Far off rays are sparse: there three in the cell and those around it do, where
+//! it does not stand back behind them. Two things keep walls whole (figures in README.md):
 //! - What a ray meets begins where it ends: the cell of a hit is that half a cell farther out.
 //! - A ray that grazes a wall runs along in the cells of the wall's surface. It passes cells only as long as it is a cell away from the
 //!   surface, measured across the surface.
@@ -15,6 +16,8 @@ use crate::map::grid::{Cell, GridError, OccupancyGrid};
 const FEWEST_HITS: u32 = 3;
 /// For each ray that ends in a cell fewer than so many may pass it.
 const PASSES_PER_HIT: u32 = 3;
+/// A cell with fewer has not so many times less than one beside it: else its rays are that one's, with their noise.
+const STANDING_BACK: u32 = 2;
 /// Fewest rays that must pass a cell for it to be free: single ones are fans through gaps and windows.
 const FEWEST_PASSES: u32 = 2;
 /// Three neighbouring rays that end on a line to within this, m, see one surface.
@@ -37,17 +40,17 @@ pub struct Evidence {
 }
 
 impl Evidence {
-    /// What stands there.
-    pub fn cell(self) -> Cell {
+    /// What stands there, beside what is counted in the cells around.
+    fn cell(self, around: impl Iterator<Item = Self>) -> Cell {
         let Self { hits, passes } = self;
-        let stands = hits > 0 && PASSES_PER_HIT.saturating_mul(hits) > passes;
-        if stands && hits >= FEWEST_HITS {
-            Cell::Occupied
-        } else if !stands && passes >= FEWEST_PASSES {
-            Cell::Free
-        } else {
-            Cell::Unknown
+        if hits == 0 || PASSES_PER_HIT.saturating_mul(hits) <= passes {
+            return if passes >= FEWEST_PASSES { Cell::Free } else { Cell::Unknown };
         }
+        let (mut sum, mut most) = (hits, 0);
+        if hits < FEWEST_HITS {
+            around.for_each(|other| (sum, most) = (sum.saturating_add(other.hits), most.max(other.hits)));
+        }
+        if sum >= FEWEST_HITS && STANDING_BACK * hits >= most { Cell::Occupied } else { Cell::Unknown }
     }
 }
 
@@ -186,7 +189,7 @@ impl EvidenceGrid {
     /// The map: what is known, and a cell around it. `None` where nothing is.
     pub fn to_map(&self) -> Option<Result<OccupancyGrid, GridError>> {
         let width = usize::try_from(self.width).ok().filter(|width| *width > 0)?;
-        let cells: Vec<Cell> = self.cells.iter().map(|evidence| evidence.cell()).collect();
+        let cells: Vec<Cell> = (0..self.cells.len()).map(|index| self.cell(index)).collect();
         let is_known = |cell: &Cell| *cell != Cell::Unknown;
         let rows: Vec<&[Cell]> = cells.chunks_exact(width).collect();
         let bottom = rows.iter().position(|row| row.iter().any(is_known))?.saturating_sub(1);
@@ -202,6 +205,20 @@ impl EvidenceGrid {
     /// What is counted in the cell of a point.
     pub fn evidence(&self, point: &Point) -> Evidence {
         self.cells.get(self.index(self.column_and_row(point))).copied().unwrap_or_default()
+    }
+
+    /// What stands at a point.
+    pub fn cell_at(&self, point: &Point) -> Cell {
+        self.cell(self.index(self.column_and_row(point)))
+    }
+
+    /// What stands in a cell, by its place.
+    fn cell(&self, index: usize) -> Cell {
+        let Some(evidence) = self.cells.get(index) else { return Cell::Unknown };
+        let width = usize::try_from(self.width).unwrap_or_default();
+        let rows = [index.wrapping_sub(width), index, index.wrapping_add(width)];
+        let around = rows.into_iter().flat_map(|place| [place.wrapping_sub(1), place, place.wrapping_add(1)]);
+        evidence.cell(around.filter(|&place| place != index).filter_map(|place| self.cells.get(place)).copied())
     }
 }
 
@@ -245,7 +262,7 @@ mod tests {
         let grid = passing_by(40);
         for i in 0..40 {
             let y = 0.05 + 0.1 * f64::from(i);
-            let cell = |x: f64| grid.evidence(&Point::new(x, y)).cell();
+            let cell = |x: f64| grid.cell_at(&Point::new(x, y));
             assert_eq!(cell(2.02), Cell::Occupied, "{y}");
             assert_eq!([0.5, 1.0, 1.9].map(cell), [Cell::Free; 3], "{y}");
             assert_eq!(cell(2.12), Cell::Unknown, "{y}");
@@ -270,11 +287,21 @@ mod tests {
         for _ in 0..4 {
             grid.draw(&with_somebody, &Pose2::IDENTITY);
         }
-        assert_eq!(grid.evidence(&somebody).cell(), Cell::Occupied);
+        assert_eq!(grid.cell_at(&somebody), Cell::Occupied);
         for _ in 0..20 {
             grid.draw(&wall(&laser), &Pose2::IDENTITY);
         }
-        assert_eq!(grid.evidence(&somebody).cell(), Cell::Free);
+        assert_eq!(grid.cell_at(&somebody), Cell::Free);
+    }
+
+    #[test]
+    fn sparse_rays_make_a_wall_and_noise_behind_one_does_not() {
+        let hits = |hits: u32| Evidence { hits, passes: 0 };
+        let beside = |own: u32, around: &[u32]| hits(own).cell(around.iter().map(|&count| hits(count)));
+        assert_eq!(beside(1, &[1, 1]), Cell::Occupied);
+        assert_eq!(beside(1, &[1]), Cell::Unknown);
+        assert_eq!(beside(2, &[50, 50]), Cell::Unknown);
+        assert_eq!(beside(3, &[50]), Cell::Occupied);
     }
 
     #[test]

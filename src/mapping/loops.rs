@@ -99,10 +99,11 @@ impl LoopSearch {
             let is_of_stretch = |k: &Keyframe| k.run == keyframes[start].run && k.way - keyframes[start].way < STRETCH;
             let end = start + keyframes[start..].iter().take_while(|k| is_of_stretch(k)).count();
             let mut stretch = Stretch { keyframes, poses: graph.poses(), later: start..end, near: Vec::new(), limit };
-            stretch.find_near(&ways);
             if limit <= SMALL {
+                stretch.find_near(&ways);
                 self.track(&stretch, matcher, &mut found);
-            } else {
+            } else if !(start..end).any(|k| self.begun.contains_key(&k)) {
+                stretch.find_near(&ways);
                 self.seek(&stretch, matcher, &mut found);
             }
             start = end;
@@ -114,7 +115,9 @@ impl LoopSearch {
     fn track(&mut self, stretch: &Stretch, matcher: &mut EdgeMatcher, found: &mut Vec<Edge>) {
         for later in stretch.later.clone() {
             let small = stretch.near.iter().filter(|(earlier, window)| window.is_small() && earlier + APART < later);
+            let place = stretch.poses[later].translation();
             let mut near: Vec<(f64, usize)> = small
+                .filter(|(earlier, _)| (stretch.poses[*earlier].translation() - place).norm_squared() < REACH * REACH)
                 .map(|&(earlier, _)| (stretch.difference(earlier, later), earlier))
                 .filter(|(difference, _)| *difference < REACH)
                 .collect();
@@ -133,11 +136,8 @@ impl LoopSearch {
         }
     }
 
-    /// Looks for the keyframes of a stretch in all visits that may have come by.
+    /// Looks for the keyframes of a stretch, none of which has been recognised, in all visits that may have come by.
     fn seek(&mut self, stretch: &Stretch, matcher: &mut EdgeMatcher, found: &mut Vec<Edge>) {
-        if stretch.later.clone().any(|k| self.begun.contains_key(&k)) {
-            return;
-        }
         let mut places: Vec<Place> = stretch.visits().iter().filter_map(|visit| self.place(stretch, matcher, visit)).collect();
         places.sort_by(|a, b| b.agreement.total_cmp(&a.agreement));
         let Some(best) = places.first() else { return };
@@ -251,7 +251,7 @@ struct Stretch<'a> {
 
 impl Stretch<'_> {
     fn middle(&self) -> usize {
-        (self.later.start + self.later.end) / 2
+        usize::midpoint(self.later.start, self.later.end)
     }
 
     fn guess(&self, earlier: usize, later: usize) -> Pose2 {
@@ -273,7 +273,7 @@ impl Stretch<'_> {
         if reached.is_empty() {
             return;
         }
-        let known = ways.from(self.middle());
+        let known = ways.from(self.middle(), self.limit);
         let window = |earlier: usize| Some((earlier, Window::of(known[earlier].as_ref()?)));
         let near = reached.into_iter().filter_map(window);
         self.near = near.filter(|&(earlier, w)| w.distance <= self.limit && away(earlier) < w.distance).collect();
@@ -328,13 +328,20 @@ impl<'a> Ways<'a> {
         Self { poses, steps }
     }
 
-    /// Covariance of every keyframe's place as seen from one, along the axes of the map, by the best way to it; `None` where none leads.
-    fn from(&self, source: usize) -> Vec<Option<PoseCovariance>> {
+    /// Covariance of every keyframe's place as seen from one, along the axes of the map, by the best way to it; `None` where none leads, or
+    /// none with a window of `limit` metres at most.
+    fn from(&self, source: usize, limit: f64) -> Vec<Option<PoseCovariance>> {
+        // In both directions, and the heading.
+        let turn = if limit <= SMALL { SMALL_TURN } else { MOST_TURN };
+        let most = (2.0 * limit.powi(2) + (LEVER * turn).powi(2)) / SIGMAS.powi(2);
         let mut known: Vec<Option<PoseCovariance>> = vec![None; self.steps.len()];
         let mut least = vec![f64::INFINITY; self.steps.len()];
         let mut queue = BinaryHeap::from([Reached { variance: 0.0, keyframe: source }]);
         (known[source], least[source]) = (Some(PoseCovariance::zeros()), 0.0);
         while let Some(Reached { keyframe, variance }) = queue.pop() {
+            if variance > most {
+                break;
+            }
             let Some(here) = known[keyframe].filter(|_| variance <= least[keyframe]) else { continue };
             for (next, step) in &self.steps[keyframe] {
                 let there = carried(&here, &(self.poses[*next].translation() - self.poses[keyframe].translation())) + step;
@@ -404,13 +411,14 @@ mod tests {
             graph.add_edge(Edge { from, to, motion, covariance, kind: EdgeKind::Sequence });
         };
         (1..100).for_each(|to| edge(to - 1, to));
-        let free = Window::of(&Ways::new(&graph).from(99)[0].unwrap());
+        let free = Window::of(&Ways::new(&graph).from(99, 1e3)[0].unwrap());
         let motion = Pose2::new(99.0, 0.0, 0.0);
         graph.add_edge(Edge { from: 0, to: 99, motion, covariance, kind: EdgeKind::Loop });
-        let closed = Window::of(&Ways::new(&graph).from(99)[0].unwrap());
+        let closed = Window::of(&Ways::new(&graph).from(99, 1e3)[0].unwrap());
         assert!(free.distance > 10.0 && free.angle > 0.25 && !free.is_small(), "{free:?}");
         assert!(closed.distance < 3.0 && closed.angle < 0.04, "{closed:?}");
         graph.add_pose(Pose2::IDENTITY);
-        assert!(Ways::new(&graph).from(99)[100].is_none(), "no way leads there");
+        assert!(Ways::new(&graph).from(99, 1e3)[100].is_none(), "no way leads there");
+        assert!(Ways::new(&graph).from(50, 0.3)[0].is_none(), "no good one does");
     }
 }

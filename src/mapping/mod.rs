@@ -202,7 +202,9 @@ impl Mapper {
         let found = self.loops.find(&self.keyframes, &self.graph, &mut self.matcher, limit);
         self.window = if found.is_empty() { self.window + 1 } else { 0 };
         if !found.is_empty() {
-            found.into_iter().for_each(|edge| self.graph.add_edge(edge));
+            for edge in found {
+                self.graph.add_edge(edge);
+            }
             self.graph.optimize(ROUGHLY);
         }
         self.window < WINDOWS.len()
@@ -257,7 +259,9 @@ impl Mapper {
     fn placed(&self) -> Vec<bool> {
         let components = self.graph.components();
         let mut sizes = vec![0_usize; components.len()];
-        components.iter().for_each(|&first| sizes[first] += 1);
+        for &first in &components {
+            sizes[first] += 1;
+        }
         let most = sizes.iter().copied().max().unwrap_or_default();
         let largest = sizes.iter().position(|&size| size == most);
         components.iter().map(|first| Some(*first) == largest).collect()

@@ -40,7 +40,9 @@ impl Pattern {
             columns.push(clique);
         }
         for column in &mut columns {
-            column.iter_mut().for_each(|v| *v = places[*v]);
+            for v in column.iter_mut() {
+                *v = places[*v];
+            }
             column.sort_unstable();
         }
         Self { places, columns }
@@ -130,15 +132,26 @@ impl<'a> BlockMatrix<'a> {
     fn subtract_products(&mut self, j: usize, column: &[Matrix3<f64>], scaled: &[Matrix3<f64>]) {
         let rows = &self.pattern.columns[j];
         for (k, &target) in rows.iter().enumerate() {
-            self.diagonal[target] -= scaled[k] * column[k].transpose();
+            subtract_product(&mut self.diagonal[target], &scaled[k], &column[k]);
             let target_rows = &self.pattern.columns[target];
             let mut place = 0;
             for i in k + 1..rows.len() {
                 while target_rows[place] != rows[i] {
                     place += 1;
                 }
-                self.below[target][place] -= scaled[i] * column[k].transpose();
+                subtract_product(&mut self.below[target][place], &scaled[i], &column[k]);
             }
+        }
+    }
+}
+
+/// Takes `a b'` from `from`: most of the work, so that it is written out.
+#[inline(always)]
+fn subtract_product(from: &mut Matrix3<f64>, a: &Matrix3<f64>, b: &Matrix3<f64>) {
+    let (a, b) = (&a.data.0, &b.data.0);
+    for (j, column) in from.data.0.iter_mut().enumerate() {
+        for (i, value) in column.iter_mut().enumerate() {
+            *value -= a[0][i] * b[0][j] + a[1][i] * b[1][j] + a[2][i] * b[2][j];
         }
     }
 }

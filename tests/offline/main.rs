@@ -18,6 +18,7 @@ mod layers;
 #[cfg(target_os = "linux")]
 mod licences;
 mod localization;
+mod mapping;
 mod no_allocation;
 mod plotjuggler;
 mod profile;

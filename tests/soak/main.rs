@@ -6,4 +6,5 @@ mod accuracy;
 #[path = "../common/mod.rs"]
 mod common;
 mod logs;
+mod mapping;
 mod odometry;
