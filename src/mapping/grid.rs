@@ -22,8 +22,10 @@ const STANDING_BACK: u32 = 2;
 const FEWEST_PASSES: u32 = 2;
 /// Three neighbouring rays that end on a line to within this, m, see one surface.
 const STRAIGHT: f64 = 0.05;
-/// Cells to either side that the grid grows by when it must: it grows seldom then.
+/// When the grid must grow, it does so by so many cells more, ...
 const GROWTH: i64 = 128;
+/// ... and by this part of its side, so that it grows seldom.
+const GROWTH_PART: i64 = 4;
 /// Most cells, so that a wild pose is no end of memory: 4 km^2 at 5 cm.
 const MOST_CELLS: i64 = 1 << 31;
 
@@ -164,10 +166,11 @@ impl EvidenceGrid {
         } else if (0..2).all(|i| low[i] >= self.first[i] && high[i] < self.first[i] + size[i]) {
             return true;
         }
-        let first = [0, 1].map(|i| if low[i] < self.first[i] { low[i].saturating_sub(GROWTH) } else { self.first[i] });
+        let growth = size.map(|side| GROWTH + side / GROWTH_PART);
+        let first = [0, 1].map(|i| if low[i] < self.first[i] { low[i].saturating_sub(growth[i]) } else { self.first[i] });
         let end = [0, 1].map(|i| {
             let end = self.first[i] + size[i];
-            if high[i] >= end { high[i].saturating_add(GROWTH) } else { end }
+            if high[i] >= end { high[i].saturating_add(growth[i]) } else { end }
         });
         let (width, height) = (end[0].saturating_sub(first[0]), end[1].saturating_sub(first[1]));
         if width.saturating_mul(height) > MOST_CELLS {
