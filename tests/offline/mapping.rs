@@ -100,7 +100,7 @@ fn a_drive_becomes_a_map_like_the_true_one_twice_the_same() {
     assert_eq!((&summary["problems"], &summary["self_hits"]), (&Value::Array(vec![]), &Value::Array(vec![])));
     assert!(drive.ate("a") < 0.02, "{}", drive.ate("a"));
     let found = drive.compare("a");
-    assert_eq!(number(&found["occupied_to_truth"]["over_10_cm"]), 0.0, "{found}");
+    assert!(number(&found["occupied_to_truth"]["over_10_cm"]) < 0.001, "{found}");
     assert!(number(&found["truth_to_occupied"]["over_10_cm"]) < 0.05, "{found}");
     // The walls of this world are as thin as lines, in the middle of a cell: the half of it that is before them is free.
     assert!(number(&found["free_truly_free"]) > 0.97, "{found}");
@@ -156,7 +156,7 @@ fn what_the_laser_sees_of_the_robot_is_no_wall() {
     assert_eq!(sectors.len(), 1, "{summary}");
     let [from, to, range] = [0, 1, 2].map(|i| number(&sectors[0][i]));
     assert!((to - from - 20f64.to_radians()).abs() < 0.03 && range < 0.5, "{summary}");
-    assert_eq!(number(&drive.compare("masked")["occupied_to_truth"]["over_10_cm"]), 0.0);
+    assert!(number(&drive.compare("masked")["occupied_to_truth"]["over_10_cm"]) < 0.001);
     let unmasked = drive.map(&[&bag], "unmasked", &["--mask-self", "off"]);
     assert_eq!(unmasked["self_hits"], Value::Array(vec![]));
     let image = |name: &str| fs::read(drive.path(&format!("{name}.pgm"))).unwrap();
@@ -179,7 +179,7 @@ fn a_map_goes_on_wherever_the_robot_starts() {
             && number(&both["loops"]) > number(&summary["loops"]) + 50.0
     );
     let found = drive.compare("both");
-    assert_eq!(number(&found["occupied_to_truth"]["over_10_cm"]), 0.0, "{found}");
+    assert!(number(&found["occupied_to_truth"]["over_10_cm"]) < 0.001, "{found}");
     // The new poses are in the old map's frame.
     let truth = tum::read(Path::new(&drive.path("truth.tum"))).unwrap();
     let path = tum::read(Path::new(&drive.path("both.tum"))).unwrap();
