@@ -18,6 +18,7 @@ use crate::localization::sensor::SensorKnobs;
 use crate::matching::MatchingKnobs;
 use crate::matching::rejection::RejectionKnobs;
 use crate::odometry::OdometryKnobs;
+use crate::scan::ScanKnobs;
 use crate::transforms::frame_name;
 
 crate::knobs! {
@@ -99,6 +100,8 @@ pub struct Config {
     pub frames: FrameKnobs,
     /// `contract.*`
     pub contract: ContractKnobs,
+    /// `scan.*`
+    pub scan: ScanKnobs,
     /// `odometry.*`
     pub odometry: OdometryKnobs,
     /// `matching.*`
@@ -116,10 +119,11 @@ pub struct Config {
 }
 
 impl Config {
-    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 9] {
+    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 10] {
         [
             ("", &self.frames),
             ("contract", &self.contract),
+            ("scan", &self.scan),
             ("odometry", &self.odometry),
             ("matching", &self.matching),
             ("rejection", &self.rejection),
@@ -134,6 +138,7 @@ impl Config {
         match name {
             "" => Some(&mut self.frames),
             "contract" => Some(&mut self.contract),
+            "scan" => Some(&mut self.scan),
             "odometry" => Some(&mut self.odometry),
             "matching" => Some(&mut self.matching),
             "rejection" => Some(&mut self.rejection),

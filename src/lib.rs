@@ -37,6 +37,7 @@
 //! | [`odometry`] | predict, match, keep the map of keyframes: one scan to one pose |
 //! | [`control`] | follows paths, and chooses contracts |
 //! | [`localization`] | a particle filter: where on a map |
+//! | [`mapping`] | keyframes, a pose graph, loops, and the grid that comes of them |
 //! | [`io`] | bags, CARMEN logs, trajectories, relations, maps |
 //! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |
 //! | [`app`] | messages in, estimates out |
@@ -73,6 +74,7 @@ pub mod io;
 pub mod knobs;
 pub mod localization;
 pub mod map;
+pub mod mapping;
 pub mod matching;
 pub mod messages;
 pub mod odometry;

@@ -1,5 +1,7 @@
 //! A laser scan, checked once and immutable from then on.
 
+mod mask;
+
 use std::collections::HashSet;
 use std::f64::consts::TAU;
 use std::mem::Discriminant;
@@ -10,6 +12,7 @@ use thiserror::Error;
 use crate::geometry::{Point, Twist2};
 use crate::messages::sensor_msgs::LaserScan;
 use crate::time::Stamp;
+pub use mask::{Mask, ScanKnobs, Sector, Sectors};
 
 /// Fewest beams a scan may have.
 pub const MIN_BEAMS: usize = 10;
@@ -241,6 +244,25 @@ impl Scan {
         Ok(Self { stamp, beams, ranges, valid, nothing_seen, reach: range_max, time_increment: 0.0 })
     }
 
+    /// The same scan without the readings that a mask lets go.
+    pub fn masked(mut self, mask: &Mask) -> Result<Self, ScanError> {
+        if mask.is_empty() {
+            return Ok(self);
+        }
+        for (i, direction) in self.beams.directions.iter().enumerate() {
+            let limit = mask.limit(direction);
+            if self.ranges[i] <= limit {
+                self.ranges[i] = f64::NAN;
+                self.valid -= 1;
+            }
+            self.nothing_seen[i] &= limit < f64::INFINITY;
+        }
+        if (self.valid as f64) < MIN_VALID_FRACTION * self.len() as f64 {
+            return Err(ScanError::TooFewValid { valid: self.valid, beams: self.len() });
+        }
+        Ok(self)
+    }
+
     /// When the scan was taken.
     pub fn stamp(&self) -> Stamp {
         self.stamp
@@ -336,11 +358,22 @@ impl Scan {
 pub struct ScanConverter {
     beams: Option<Arc<BeamGeometry>>,
     reach: Reach,
+    mask: Mask,
     said: HashSet<Discriminant<Oddity>>,
     oddities: Vec<Oddity>,
 }
 
 impl ScanConverter {
+    /// A converter whose scans have the rays that these knobs let count.
+    pub fn new(knobs: &ScanKnobs) -> Self {
+        Self { mask: Mask::new(knobs), ..Self::default() }
+    }
+
+    /// The rays that count.
+    pub fn mask(&self) -> &Mask {
+        &self.mask
+    }
+
     /// Checks a message. `upside_down`: the laser is mounted on its head, its sweep seen from above runs the other way round.
     pub fn convert(&mut self, message: &LaserScan, upside_down: bool) -> Result<Scan, ScanError> {
         let side = if upside_down { -1.0 } else { 1.0 };
@@ -355,7 +388,7 @@ impl ScanConverter {
         }
         let limits = (f64::from(message.range_min), range_max.next_down());
         let ranges = message.ranges.iter().map(|&range| f64::from(range));
-        let scan = Scan::new(message.header.stamp.into(), beams, limits, ranges)?;
+        let scan = Scan::new(message.header.stamp.into(), beams, limits, ranges)?.masked(&self.mask)?;
         let time_increment = f64::from(message.time_increment);
         Ok(scan.with_time_increment(if time_increment.is_finite() { time_increment } else { 0.0 }))
     }

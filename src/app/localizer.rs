@@ -141,7 +141,7 @@ impl Localizer {
             config: config.clone(),
             wheel: WheelOdometry::default(),
             odometer: None,
-            converter: ScanConverter::default(),
+            converter: ScanConverter::new(&config.scan),
             remarks: Vec::new(),
             transforms: TransformTree::default(),
             mount: Mount { base_from_laser: parameter.unwrap_or_default(), ..Mount::default() },

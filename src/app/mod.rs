@@ -208,7 +208,7 @@ impl App {
             profile: None,
             contract: Contract::try_from(&config.contract)?,
             odometry: LaserOdometry::new(&config.odometry, &config.matching, &config.rejection),
-            converter: ScanConverter::default(),
+            converter: ScanConverter::new(&config.scan),
             transforms: TransformTree::default(),
             mount: Mount { base_from_laser: parameter.unwrap_or_default(), ..Mount::default() },
             mount_source: if parameter.is_some() { MountSource::Parameter } else { MountSource::Assumed },
@@ -265,7 +265,8 @@ impl App {
     /// Answers a point cloud as [`Self::on_scan`] does a scan.
     pub fn on_cloud(&mut self, message: &PointCloud2, arrival: Duration) -> Estimate {
         self.answer(&message.header, arrival, |app| {
-            cloud::scan(message, &app.config.cloud, &app.mount.level_from_laser).map_err(|e| malformed(&e))
+            let scan = cloud::scan(message, &app.config.cloud, &app.mount.level_from_laser).map_err(|e| malformed(&e))?;
+            scan.masked(app.converter.mask()).map_err(|e| malformed(&e))
         })
     }
 
@@ -304,6 +305,16 @@ impl App {
         let elapsed = self.clock.now().saturating_sub(arrival);
         let (contract, expected_error) = (self.contract, self.expected_error());
         Estimate { stamp, registration, contract, expected_error, elapsed, arrival, refined }
+    }
+
+    /// The scan of a message that has just been answered; `None` where it is malformed.
+    pub fn scan(&mut self, message: &Sensed) -> Option<Scan> {
+        message.scan(&mut self.converter, &self.config.cloud, &self.mount)
+    }
+
+    /// That scan as the laser would have seen it at its stamp.
+    pub fn undistorted(&self, scan: Scan) -> Scan {
+        self.odometry.undistorted(&scan, &self.mount.base_from_laser).unwrap_or(scan)
     }
 
     /// What is odd in the messages so far and was not said before; each kind of it is said once.

@@ -42,7 +42,7 @@ impl Sensed {
     pub fn scan(&self, converter: &mut ScanConverter, knobs: &CloudKnobs, mount: &Mount) -> Option<Scan> {
         match self {
             Self::Scan(scan) => converter.convert(scan, mount.upside_down).ok(),
-            Self::Cloud(cloud) => cloud::scan(cloud, knobs, &mount.level_from_laser).ok(),
+            Self::Cloud(cloud) => cloud::scan(cloud, knobs, &mount.level_from_laser).ok()?.masked(converter.mask()).ok(),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Occupancy maps as `map_server` keeps them: a YAML file that describes an image.
 
 use std::fmt::Display;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
@@ -52,6 +53,26 @@ pub enum MapError {
         /// What is wrong.
         problem: String,
     },
+}
+
+/// Writes a map as `map_saver` does: the image in shades of three, and the YAML file that names it. The image's name is taken from its
+/// path, so that the two may be moved together.
+pub fn write(map: &OccupancyGrid, image_path: &Path, yaml: &mut impl Write, image: &mut impl Write) -> io::Result<()> {
+    let (resolution, origin) = (map.resolution(), map.origin());
+    let name = image_path.file_name().unwrap_or_default().to_string_lossy();
+    write!(
+        yaml,
+        "image: {name}\nresolution: {resolution:.6}\norigin: [{:.6}, {:.6}, {:.6}]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n\n",
+        origin.x, origin.y, origin.theta
+    )?;
+    write!(image, "P5\n# CREATOR: map_saver.cpp {resolution:.3} m/pix\n{} {}\n255\n", map.width(), map.height())?;
+    let shade = |cell: &Cell| match cell {
+        Cell::Occupied => 0,
+        Cell::Free => 254,
+        Cell::Unknown => 205,
+    };
+    let shades: Vec<u8> = map.cells().chunks_exact(map.width()).rev().flatten().map(shade).collect();
+    image.write_all(&shades)
 }
 
 /// The YAML file. Fields that other programs add are let pass.

@@ -81,6 +81,11 @@ impl OccupancyGrid {
         self.resolution
     }
 
+    /// Pose of the lower left corner of the first cell.
+    pub fn origin(&self) -> Pose2 {
+        self.origin
+    }
+
     /// The cell in a column and row; `None` outside the map.
     pub fn cell(&self, column: i64, row: i64) -> Option<Cell> {
         let (column, row) = (usize::try_from(column).ok()?, usize::try_from(row).ok()?);

@@ -13,13 +13,14 @@ use crate::geometry::{Point, Pose2, PoseCovariance, perpendicular};
 pub struct Uncertainty {
     /// Covariance of the pose (m, m, rad); `None` where the pairs leave a direction open.
     pub covariance: Option<PoseCovariance>,
-    /// What the pairs alone say of the pose, in its covariance's units, inverted: nothing along [`Self::free_direction`].
-    pub information: Matrix3<f64>,
     /// Ratio of the largest to the smallest eigenvalue of the information matrix, headings measured by their effect at the pairs'
     /// mean distance; infinite where the pairs leave a direction open.
     pub condition_number: f64,
     /// Unit vector along which the pairs leave the translation open, if they do, in the reference frame. Classic pairs do not say.
     pub free_direction: Option<Point>,
+    /// What the pairs alone know of the pose, without any prior: the inverse of a covariance in m, m, rad. Nothing along
+    /// [`Self::free_direction`].
+    pub information: Option<Matrix3<f64>>,
 }
 
 /// Derivatives of the gradient by the ranges of the reference rays; kept between calls for its memory.
@@ -80,7 +81,7 @@ impl UncertaintyEstimator {
         let covariance = sums.covariance(solution.range_noise);
         Uncertainty {
             covariance,
-            information: covariance.and_then(|covariance| covariance.try_inverse()).unwrap_or_default(),
+            information: covariance.and_then(|covariance| covariance.try_inverse()),
             condition_number: condition_number(&symmetric(&sums.information), sums.distance / solution.pairs.len().max(1) as f64),
             free_direction: None,
         }

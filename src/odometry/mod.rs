@@ -337,7 +337,7 @@ impl LaserOdometry {
 
     /// The scan without the distortion by the motion during its sweep, where there is any: at the velocity of the wheels, else of the
     /// last answers.
-    fn undistorted(&self, scan: &Scan, base_from_laser: &Pose2) -> Option<Scan> {
+    pub fn undistorted(&self, scan: &Scan, base_from_laser: &Pose2) -> Option<Scan> {
         let (first_ray, sweep) = self.sweep(scan);
         let seconds = sweep.abs();
         if !self.knobs.deskew || seconds == 0.0 || seconds > LONGEST_SWEEP {
@@ -408,7 +408,7 @@ impl LaserOdometry {
         // Where the scans leave a direction open, what is known of it is the prediction.
         let prediction_covariance = attempt.prediction.covariance;
         let prior = attempt.prior(keyframe).covariance.try_inverse().unwrap_or_default();
-        let known = uncertainty.and_then(|known| (known.information + prior).try_inverse());
+        let known = uncertainty.and_then(|known| (known.information? + prior).try_inverse());
         let match_covariance = match_covariance.unwrap_or(prediction_covariance);
         let laser_covariance =
             uncertainty::compound(&keyframe.map_from_laser, &keyframe.covariance, &keyframe_from_laser, &match_covariance);

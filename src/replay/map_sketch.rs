@@ -3,7 +3,7 @@
 use crate::app::sensed::Sensed;
 use crate::app::{App, Estimate};
 use crate::geometry::Point;
-use crate::scan::ScanConverter;
+use crate::scan::{Mask, ScanConverter};
 
 /// More points than this make a plot heavy, not better.
 const MAX_POINTS: usize = 20_000;
@@ -27,7 +27,8 @@ impl MapSketch {
         }
         self.keyframes += 1;
         let mount = app.mount().0;
-        let Some(scan) = message.scan(&mut self.converter, &app.config().cloud, &mount) else { return };
+        let scan = message.scan(&mut self.converter, &app.config().cloud, &mount);
+        let Some(scan) = scan.and_then(|scan| scan.masked(&Mask::new(&app.config().scan)).ok()) else { return };
         if !self.keyframes.is_multiple_of(self.every.max(1)) {
             return;
         }

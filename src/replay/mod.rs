@@ -2,9 +2,12 @@
 
 pub mod csv_file;
 pub mod localize;
+pub mod map_picture;
 pub mod map_sketch;
+pub mod map_summary;
 pub mod recorder;
 pub mod summary;
+pub mod survey;
 pub mod truth;
 
 use std::time::Duration;
@@ -141,7 +144,7 @@ pub fn replay<E: From<BagError>>(
     app: &mut App,
     clock: &dyn Clock,
     on_message: impl FnMut(),
-    mut on_estimate: impl FnMut(&Sensed, &Estimate, &App) -> Result<(), E>,
+    mut on_estimate: impl FnMut(&Sensed, &Estimate, &mut App) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
     let mut first_stamp = None;
     feed(source.bag, source.topics, app, on_message, |message, app, log| {

@@ -12,7 +12,7 @@ const LAYERS: [&[&str]; 13] = [
     &["matching", "simulation", "evaluation", "cloud"],
     &["anytime"],
     &["odometry", "io", "control"],
-    &["localization"],
+    &["localization", "mapping"],
     &["config"],
     &["app"],
     &["replay", "ros"],

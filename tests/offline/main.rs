@@ -21,6 +21,7 @@ mod layers;
 #[cfg(target_os = "linux")]
 mod licences;
 mod localization;
+mod mapping;
 mod no_allocation;
 mod odometry_frames;
 mod plotjuggler;

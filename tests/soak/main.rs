@@ -7,4 +7,5 @@ mod accuracy;
 mod common;
 mod localization;
 mod logs;
+mod mapping;
 mod odometry;

@@ -1,22 +1,33 @@
 //! `anytime evaluate`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use anytime_scan_matcher::evaluation::map_comparison::MapComparison;
 use anytime_scan_matcher::evaluation::plot::trajectory_plot;
 use anytime_scan_matcher::evaluation::relations::RelationErrors;
 use anytime_scan_matcher::evaluation::report::{Comparison, Report};
-use anytime_scan_matcher::io::{relations, tum};
+use anytime_scan_matcher::io::{map_file, relations, tum};
 use clap::Args;
 
 use crate::input_flags::{Files, picture};
 use crate::outcome::shown;
 use crate::terminal;
 
-/// Compare a trajectory with the truth: ATE, RPE, relations
+/// Compare a trajectory with the truth (ATE, RPE, relations), or a map with the true one
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Trajectory: lines of `timestamp x y z qx qy qz qw` (TUM) or `timestamp x y theta`
-    trajectory: PathBuf,
+    #[arg(required_unless_present = "map", requires = "reference")]
+    trajectory: Option<PathBuf>,
+    /// Instead of a trajectory: a map, a YAML file of `map_server`
+    #[arg(long, value_name = "A.yaml", requires = "truth_map", conflicts_with_all = ["trajectory", "reference", "plot"])]
+    map: Option<PathBuf>,
+    /// The true map
+    #[arg(long, value_name = "B.yaml", requires = "map")]
+    truth_map: Option<PathBuf>,
+    /// Lay the map onto the true one first: it is known to two metres and some degrees where it belongs
+    #[arg(long, requires = "map")]
+    align: bool,
     #[command(flatten)]
     reference: Reference,
     /// Print one JSON object
@@ -34,7 +45,7 @@ pub(crate) struct Arguments {
 }
 
 #[derive(Args)]
-#[group(required = true, multiple = true)]
+#[group(id = "reference", multiple = true)]
 struct Reference {
     /// True trajectory, same format
     #[arg(long, value_name = "X.tum")]
@@ -49,7 +60,25 @@ fn positive(text: &str) -> Result<f64, String> {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
-    let Arguments { trajectory, reference, json, plot, rpe_distance, max_dt } = arguments;
+    match arguments {
+        Arguments { map: Some(map), truth_map: Some(truth), align, json, .. } => compare_maps(map, truth, *align, *json),
+        Arguments { trajectory: Some(trajectory), .. } => compare_trajectory(trajectory, arguments),
+        _ => Err(crate::outcome::usage("nothing to evaluate: a trajectory, or --map with --truth-map")),
+    }
+}
+
+fn compare_maps(map: &Path, truth: &Path, align: bool, json: bool) -> anyhow::Result<String> {
+    let files = Files::default().read("--map", Some(map)).read("--truth-map", Some(truth));
+    let found = MapComparison::new(&map_file::read(map)?, &map_file::read(truth)?, align);
+    let problem = found.to_truth.is_none().then(|| {
+        let (map, truth) = (map.display(), truth.display());
+        format!("{map} or {truth} has no occupied cell: there is nothing to compare")
+    });
+    shown(files.shown(json, || found.to_json(), || found.to_string()), problem)
+}
+
+fn compare_trajectory(trajectory: &Path, arguments: &Arguments) -> anyhow::Result<String> {
+    let Arguments { reference, json, plot, rpe_distance, max_dt, .. } = arguments;
     let files = Files::default()
         .read("the trajectory", Some(trajectory))
         .read("--truth", reference.truth.as_deref())

@@ -9,6 +9,7 @@ mod info;
 mod input_flags;
 mod knob_flags;
 mod localize;
+mod map;
 mod outcome;
 mod profile;
 mod profile_flags;
@@ -39,6 +40,7 @@ struct Cli {
 enum Command {
     Replay(Box<replay_flags::Arguments>),
     Localize(Box<localize::Arguments>),
+    Map(Box<map::Arguments>),
     Profile(Box<profile_flags::Arguments>),
     Info(info::Arguments),
     Simulate(Box<simulate::Arguments>),
@@ -62,6 +64,7 @@ fn main() -> ExitCode {
     let outcome = match cli.command {
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Localize(arguments) => localize::run(&arguments),
+        Command::Map(arguments) => map::run(&arguments),
         Command::Profile(arguments) => profile::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),

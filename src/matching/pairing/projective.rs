@@ -527,15 +527,15 @@ impl Pairing for Projective {
         with_prior += self.prior;
         let covariance = (0.5 * with_prior.linearize(pose).1).try_inverse().map(|inverse| inverse * noise * both);
         let open = free_direction.is_some() && self.guess.prior.is_none();
-        let seen = free_direction.map_or(information, |direction| without(&information, &direction)) / (noise * both);
+        let seen = free_direction.map_or(information, |direction| without(&information, &direction));
         Uncertainty {
-            information: seen,
             covariance: covariance.filter(|covariance| !open && covariance.iter().all(|v| v.is_finite())),
             condition_number: match free_direction {
                 Some(_) => f64::INFINITY,
                 None => condition_number(&information, self.sensed.mean_range),
             },
             free_direction,
+            information: (noise > 0.0).then(|| seen / (noise * both)),
         }
     }
 

@@ -1,0 +1,127 @@
+//! Rays that say nothing of the world, whatever they measure: those of no interest, and those that see the robot itself.
+
+use std::f64::consts::TAU;
+
+use crate::geometry::Point;
+use crate::knobs::{KnobValue, Value};
+
+crate::knobs! {
+    /// Which rays of a scan count: for the matcher, the particle filter and maps alike.
+    pub struct ScanKnobs {
+        /// Rays that point farther clockwise than this are let go; unset: none. Bearings are in the laser's frame, seen from above.
+        min_angle: Option<f64> = None, in -7 to 7, unit "rad";
+        /// Rays that point farther counter-clockwise than this are let go; unset: none.
+        max_angle: Option<f64> = None, in -7 to 7, unit "rad";
+        /// Bearings at which the laser sees the robot itself: `[[from, to], ...]`, counter-clockwise. With a third number, `[from, to, range]`,
+        /// only readings up to that range are let go.
+        masked_sectors: Sectors = Sectors::default(), unit "rad, rad, m";
+    }
+}
+
+/// Bearings at which readings are let go.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sector {
+    /// From this one, rad, ...
+    pub from: f64,
+    /// ... counter-clockwise to this one, rad.
+    pub to: f64,
+    /// Readings up to this, m; `None`: all.
+    pub range: Option<f64>,
+}
+
+/// Sectors, as a parameter.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sectors(pub Vec<Sector>);
+
+impl KnobValue for Sectors {
+    fn from_value(value: &Value) -> Result<Self, String> {
+        let sector = |value: &Value| {
+            let numbers: Option<Vec<f64>> =
+                value.as_array()?.iter().map(|number| number.as_f64().filter(|n| n.is_finite())).collect();
+            match numbers?[..] {
+                [from, to] => Some(Sector { from, to, range: None }),
+                [from, to, range] if range > 0.0 => Some(Sector { from, to, range: Some(range) }),
+                _ => None,
+            }
+        };
+        let sectors: Option<Vec<Sector>> = value.as_array().and_then(|sectors| sectors.iter().map(sector).collect());
+        sectors.map(Self).ok_or_else(|| format!("expected {}, got {value}", Self::kind()))
+    }
+
+    fn to_value(&self) -> Value {
+        let sector = |sector: &Sector| Value::from([sector.from, sector.to].into_iter().chain(sector.range).collect::<Vec<_>>());
+        self.0.iter().map(sector).collect()
+    }
+
+    fn kind() -> String {
+        "[[from, to], ...] or [[from, to, range], ...]".into()
+    }
+}
+
+/// The rays that count.
+#[derive(Clone, Debug, Default)]
+pub struct Mask {
+    sectors: Vec<Sector>,
+}
+
+impl Mask {
+    /// By these knobs.
+    pub fn new(knobs: &ScanKnobs) -> Self {
+        let mut sectors = knobs.masked_sectors.0.clone();
+        if knobs.min_angle.is_some() || knobs.max_angle.is_some() {
+            // What is not between them; half a turn to the other side of the one there is.
+            let from = knobs.max_angle.unwrap_or_else(|| knobs.min_angle.unwrap_or_default() + TAU / 2.0);
+            let to = knobs.min_angle.unwrap_or_else(|| from + TAU / 2.0);
+            sectors.push(Sector { from: from + f64::EPSILON, to: to - f64::EPSILON, range: None });
+        }
+        Self { sectors }
+    }
+
+    /// Whether all rays count.
+    pub fn is_empty(&self) -> bool {
+        self.sectors.is_empty()
+    }
+
+    /// Up to which range readings in a direction do not count, m; less than zero where all do.
+    pub fn limit(&self, direction: &Point) -> f64 {
+        let bearing = direction.y.atan2(direction.x);
+        let within = |sector: &&Sector| (bearing - sector.from).rem_euclid(TAU) <= (sector.to - sector.from).rem_euclid(TAU);
+        let limits = self.sectors.iter().filter(within).map(|sector| sector.range.unwrap_or(f64::INFINITY));
+        limits.fold(f64::NEG_INFINITY, f64::max)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn limit(mask: &Mask, bearing: f64) -> f64 {
+        mask.limit(&Point::new(bearing.cos(), bearing.sin()))
+    }
+
+    #[test]
+    fn sectors_go_round_and_end_at_their_range() {
+        let sectors = Sectors::from_value(&serde_json::json!([[3.0, -3.0], [0.1, 0.2, 0.5]])).unwrap();
+        assert_eq!(Sectors::from_value(&sectors.to_value()).unwrap(), sectors);
+        let mask = Mask::new(&ScanKnobs { masked_sectors: sectors, ..ScanKnobs::default() });
+        assert_eq!([3.1, -3.1, 0.15].map(|bearing| limit(&mask, bearing)), [f64::INFINITY, f64::INFINITY, 0.5]);
+        assert!([0.0, 0.3, 2.9, -2.9].iter().all(|&bearing| limit(&mask, bearing) < 0.0) && !mask.is_empty());
+        for wrong in [
+            serde_json::json!([[1.0]]),
+            serde_json::json!([1.0, 2.0]),
+            serde_json::json!([[1.0, 2.0, -1.0]]),
+            serde_json::json!("x"),
+        ] {
+            assert!(Sectors::from_value(&wrong).unwrap_err().contains("[from, to]"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn limits_to_either_side() {
+        let front = Mask::new(&ScanKnobs { min_angle: Some(-1.0), max_angle: Some(1.5), ..ScanKnobs::default() });
+        assert!([-0.99, 0.0, 1.49].iter().all(|&bearing| limit(&front, bearing) < 0.0));
+        assert!([-1.01, 1.51, 3.0].iter().all(|&bearing| limit(&front, bearing) > 0.0));
+        let left = Mask::new(&ScanKnobs { min_angle: Some(-0.5), ..ScanKnobs::default() });
+        assert!(limit(&left, -0.6) > 0.0 && limit(&left, 2.0) < 0.0 && Mask::default().is_empty());
+    }
+}
