@@ -6,7 +6,8 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-const COMMANDS: [&str; 9] = ["replay", "localize", "profile", "info", "simulate", "evaluate", "convert", "completions", "man"];
+const COMMANDS: [&str; 11] =
+    ["replay", "localize", "map", "drive", "profile", "info", "simulate", "evaluate", "convert", "completions", "man"];
 
 fn anytime(words: &[&str], columns: Option<&str>) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_anytime"));
@@ -64,7 +65,7 @@ fn no_help_says_a_default_twice() {
 
 /// Keys of an object and of those in it, with dots; under `failures`, `unused`, ... names are data.
 fn keys(value: &Value, path: &str, found: &mut BTreeSet<String>) {
-    let data = ["failures", "unused", "chunks", "passed_over"];
+    let data = ["failures", "unused", "chunks", "passed_over", "facts"];
     match value {
         Value::Object(fields) if !data.contains(&path) => {
             for (key, value) in fields {
@@ -95,11 +96,13 @@ fn every_command_prints_compact_json_whose_fields_are_documented() {
     let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
     std::fs::write(path("in.clf"), "FLASER 12 1 1 1 1 1 1 1 1 1 1 1 1 0 0 0 0 0 0 1 host 1\n".repeat(3)).unwrap();
     let (bag, drive, tum, csv, out) = (path("a.bag"), path("b.bag"), path("x.tum"), path("x.csv"), path("out"));
-    let clf = path("in.clf");
+    let (clf, map) = (path("in.clf"), path("map"));
     let demo = ["bags/demo.bag", "--truth", "bags/demo.tum"];
     let lines: Vec<(&str, Vec<&str>, Vec<&str>)> = vec![
         ("replay", [&demo[..], &["--tum", &tum, "--csv", &csv]].concat(), vec!["csv", "tum"]),
         ("localize", [&demo[..], &["--map", "maps/corridor.yaml", "--particles", "500", "--csv", &csv]].concat(), vec!["csv"]),
+        ("map", vec![demo[0], "--out", &map], vec!["graph", "pgm", "png", "yaml"]),
+        ("drive", vec!["--world", "corridor", "--laps", "1", "--seeds", "1", "--beams", "181"], vec![]),
         ("info", vec![demo[0]], vec![]),
         ("evaluate", vec!["bags/demo.tum", "--truth", "bags/demo.tum"], vec![]),
         ("simulate", vec!["--world", "room", "--duration", "1s", "--out", &drive], vec!["out"]),

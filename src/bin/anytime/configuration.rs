@@ -29,6 +29,7 @@ impl Configuration {
         for assignment in &self.set {
             config.set_assignment(assignment)?;
         }
+        config.check_frames(&self.config.as_deref().map_or("--set".into(), |path| path.display().to_string()))?;
         config.warnings().iter().for_each(|warning| eprintln!("anytime: {warning}"));
         Ok(config)
     }

@@ -138,6 +138,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     progress.finish_and_clear();
     if let Some(out) = &arguments.out {
         study.write(&outcomes, out)?;
+        eprintln!("wrote {}", out.display());
     }
     Ok(if arguments.json { study.to_json(&outcomes).to_string() } else { to_text(&outcomes) })
 }

@@ -112,7 +112,8 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     problems.extend(reservations(&mapper, &path));
     files.write(&mapper, &map, &path, &outputs.image)?;
     let summary = MapSummary::new(&mapper, &path, &map, found, stages, problems);
-    Ok(if arguments.json { summary.to_json().to_string() } else { summary.to_text() })
+    let roles = self::files(arguments, &config, &outputs);
+    Ok(roles.shown(arguments.json, || summary.to_json(), || summary.to_text()))
 }
 
 /// What the bags have come to.
