@@ -322,7 +322,9 @@ mod tests {
         let poses = [Pose2::new(3.0, 7.0, 0.4), Pose2::new(-40.0, 2.0, 2.0), Pose2::new(0.3, -30.0, -1.0)];
         let draw = |order: [usize; 3]| {
             let mut grid = EvidenceGrid::new(0.05);
-            order.iter().for_each(|&i| (0..3).for_each(|_| grid.draw(&points, &poses[i])));
+            for i in order {
+                (0..3).for_each(|_| grid.draw(&points, &poses[i]));
+            }
             grid.to_map().unwrap().unwrap()
         };
         assert_eq!(draw([0, 1, 2]), draw([2, 0, 1]));

@@ -16,6 +16,7 @@ const RESOLUTION: f64 = 0.05;
 
 /// Corridors 2.4 m wide around a block, 36 m x 14 m; every 4 m a niche, so that both long ones look alike in many places, and each like the
 /// other one turned round.
+#[allow(clippy::cast_sign_loss)] // sizes
 fn alike() -> OccupancyGrid {
     let (width, height) = (40.0, 18.0);
     let is_free = |x: f64, y: f64| {
