@@ -21,6 +21,9 @@ pub(super) struct Last {
     pub(super) covariance: PoseCovariance,
     /// The velocity that led from the answer before to this one.
     pub(super) seen_twist: Twist2,
+    /// The same, but of the last step that a robot can have driven. Sweeps are straightened by it: the filter's, which is of the step's
+    /// end, overshoots, and a sweep that was straightened by too much makes it overshoot again.
+    pub(super) mean_twist: Twist2,
     /// The velocity that is believed in, and what is known of it.
     pub(super) motion: MotionState,
 }

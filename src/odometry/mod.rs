@@ -345,7 +345,7 @@ impl LaserOdometry {
         }
         let start = scan.stamp().offset_by(first_ray.min(first_ray + sweep));
         let by_wheels = self.sources.motion(start, start.offset_by(seconds)).filter(|_| self.trust.is_given());
-        let motion = by_wheels.or_else(|| Some(self.last?.motion.twist.motion(seconds)))?;
+        let motion = by_wheels.or_else(|| Some(self.last?.mean_twist.motion(seconds)))?;
         let laser_motion = base_from_laser.inverse() * motion * *base_from_laser;
         Some(scan.undistorted(&Twist2::of_motion(&laser_motion, seconds), first_ray, sweep))
     }
@@ -658,8 +658,15 @@ impl LaserOdometry {
         let twist = state.twist;
         // The next scan's prediction starts from the last scan there was; where there was none, from here.
         if self.keyframe.is_none() && self.upcoming_keyframe.is_none() {
-            self.last =
-                Some(Last { stamp, map_from_base, map_from_laser: map_from_base, covariance, seen_twist: twist, motion: state });
+            self.last = Some(Last {
+                stamp,
+                map_from_base,
+                map_from_laser: map_from_base,
+                covariance,
+                seen_twist: twist,
+                mean_twist: twist,
+                motion: state,
+            });
         }
         Registration {
             twist,
@@ -726,6 +733,7 @@ impl LaserOdometry {
     fn conclude(&mut self, scan: &Scan, base_from_laser: &Pose2, answer: Answer, becomes_keyframe: bool) -> Registration {
         let (seen_twist, motion, goes_on) = self.motion(scan.stamp(), &answer);
         let is_lost = answer.is_lost || !goes_on;
+        let mean_twist = self.last.filter(|_| !goes_on).map_or(seen_twist, |last| last.mean_twist);
         let seconds = self.last.map_or(0.0, |last| scan.stamp().seconds_since(last.stamp));
         self.usual_twist = self.usual_twist.towards(&motion.twist, (seconds / USUAL_TIME).clamp(0.0, 1.0));
         let becomes_keyframe = becomes_keyframe || is_lost;
@@ -743,6 +751,7 @@ impl LaserOdometry {
             map_from_laser,
             covariance: answer.covariance,
             seen_twist,
+            mean_twist,
             motion,
         });
         Registration {

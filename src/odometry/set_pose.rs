@@ -98,8 +98,15 @@ impl LaserOdometry {
         let goes_on = MotionState::supposed(twist);
         let Prediction { motion, covariance } = goes_on.expect(seconds).prediction();
         let (map_from_base, map_from_laser) = (set.map_from_base, set.map_from_base * *base_from_laser);
-        self.last =
-            Some(Last { stamp: since, map_from_base, map_from_laser, covariance: none, seen_twist: twist, motion: goes_on });
+        self.last = Some(Last {
+            stamp: since,
+            map_from_base,
+            map_from_laser,
+            covariance: none,
+            seen_twist: twist,
+            mean_twist: twist,
+            motion: goes_on,
+        });
         let covariance = uncertainty::compound(&set.map_from_base, &none, &motion, &covariance);
         self.answer_first(scan, base_from_laser, set.map_from_base * motion, covariance)
     }

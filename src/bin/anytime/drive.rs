@@ -42,7 +42,7 @@ pub(crate) struct Arguments {
     /// Where the poses come from: `truth`, `scan_matcher` or `particle_filter`
     #[arg(long, default_value = "scan_matcher", value_parser = |text: &str| EstimatorKind::from_value(&text.into()))]
     estimator: EstimatorKind,
-    #[arg(long, default_value = FollowerKnobs::default().law.name(), value_parser = |text: &str| Law::from_value(&text.into()), help = help::<FollowerKnobs>("law"))]
+    #[arg(long, default_value = FollowerKnobs::default().law.name(), hide_default_value = true, value_parser = |text: &str| Law::from_value(&text.into()), help = help::<FollowerKnobs>("law"))]
     law: Law,
     /// How contracts are chosen: `completion`, `iterations:N`, `fixed:TIME[,METRES]`, `table`, `oracle`; several may be given
     #[arg(long, default_value = "completion")]
@@ -75,7 +75,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_parser = value, help = help::<FlawKnobs>("speed_scale"))]
     speed_scale: Option<Value>,
     /// Beams of the laser
-    #[arg(long, default_value_t = LidarKnobs::default().beams)]
+    #[arg(long, default_value_t = LidarKnobs::default().beams, value_parser = clap::value_parser!(u32).range(10..=10_000))]
     beams: u32,
     /// Set a parameter of the follower, such as `lookahead_time=0.3` (all: `path_follower --help`); may be given many times
     #[arg(long, value_name = "NAME=VALUE")]
@@ -118,7 +118,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         estimator: arguments.estimator,
         config: &config,
         follower: follower(arguments)?,
-        lidar: LidarKnobs { beams: arguments.beams.clamp(10, 10_000), ..LidarKnobs::default() },
+        lidar: LidarKnobs { beams: arguments.beams, ..LidarKnobs::default() },
         odometer: OdometerKnobs::default(),
         flaws: flaws(arguments)?,
         costs: arguments.costs.clone(),
