@@ -364,7 +364,7 @@ mod tests {
 
     /// A room of 10 m by 5 m.
     fn model() -> Model {
-        let is_wall = |i: usize| i % 100 == 0 || i % 100 == 99 || i / 100 == 0 || i / 100 == 49;
+        let is_wall = |i: usize| i.is_multiple_of(100) || i % 100 == 99 || i / 100 == 0 || i / 100 == 49;
         let cells = (0..5000).map(|i| if is_wall(i) { Cell::Occupied } else { Cell::Free }).collect();
         let grid = OccupancyGrid::new(100, 0.1, Pose2::IDENTITY, cells).unwrap();
         let knobs = LocalizationKnobs { global_particles: 20_000, particles: 1000, threads: 1, ..LocalizationKnobs::default() };

@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::rejection::RejectionKnobs;
-use crate::matching::{FirstGuess, Matcher, MatchingKnobs, PlacedView, SearchWindow, View};
+use crate::matching::{FirstGuess, Matcher, MatchingKnobs, PlacedView, View};
 use crate::scan::Scan;
 
 /// What no match is better than, whatever its pairs know: walls are uneven and beams wide, and what neighbouring rays err in common stays. m ...
@@ -50,9 +50,9 @@ impl EdgeMatcher {
     }
 
     /// Where `later` was seen from `earlier`; `None` where nothing fits.
-    pub(super) fn compare(&mut self, earlier: &Arc<View>, later: &View, guess: Pose2, window: SearchWindow) -> Option<Match> {
+    pub(super) fn compare(&mut self, earlier: &Arc<View>, later: &View, guess: impl Into<FirstGuess>) -> Option<Match> {
         self.matcher.set_views(&[PlacedView::at_origin(Arc::clone(earlier))]);
-        let mut refinement = self.matcher.begin(later.scan(), FirstGuess { pose: guess, prior: None, window });
+        let mut refinement = self.matcher.begin(later.scan(), guess);
         let stop_reason = loop {
             if let Some(reason) = refinement.refine() {
                 break reason;
@@ -105,7 +105,7 @@ mod tests {
         let later = Pose2::new(0.3, 0.1, 0.05);
         let mut compare = |end: Option<f64>| {
             let (earlier, later) = (matcher.view(corridor(end, &Pose2::IDENTITY)), matcher.view(corridor(end, &later)));
-            matcher.compare(&earlier, &later, Pose2::new(0.25, 0.0, 0.0), SearchWindow::default()).unwrap()
+            matcher.compare(&earlier, &later, Pose2::new(0.25, 0.0, 0.0)).unwrap()
         };
         let open = compare(None);
         assert!(open.covariance.m11 > 100.0 && open.covariance.m22 < 0.01_f64.powi(2) && open.covariance.m33 < 0.01_f64.powi(2));

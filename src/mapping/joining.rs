@@ -10,7 +10,7 @@ use super::edges::{EdgeMatcher, Match};
 use super::keyframe::Keyframe;
 use super::pose_graph::{Edge, EdgeKind};
 use crate::geometry::Pose2;
-use crate::matching::SearchWindow;
+use crate::matching::{FirstGuess, SearchWindow};
 
 /// Keyframes to compare with are thinned out to one in so many metres, and radians.
 const THINNED: f64 = 1.0;
@@ -151,6 +151,6 @@ impl JunctionSearch<'_> {
 
     fn compare(&mut self, earlier: usize, later: usize, guess: Pose2, window: SearchWindow) -> Option<Match> {
         let [earlier, later] = [earlier, later].map(|k| &self.keyframes[k].view);
-        self.matcher.compare(earlier, later, guess, window).filter(|made| made.overlap >= OVERLAP)
+        self.matcher.compare(earlier, later, FirstGuess { window, ..guess.into() }).filter(|made| made.overlap >= OVERLAP)
     }
 }

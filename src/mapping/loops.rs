@@ -13,7 +13,7 @@ use super::edges::{EdgeMatcher, Match};
 use super::keyframe::Keyframe;
 use super::pose_graph::{Edge, EdgeKind, PoseGraph};
 use crate::geometry::{Point, Pose2, PoseCovariance};
-use crate::matching::SearchWindow;
+use crate::matching::{FirstGuess, SearchWindow};
 use crate::odometry::uncertainty::turned;
 
 /// Keyframes must be so many apart to be of two visits.
@@ -209,7 +209,8 @@ impl LoopSearch {
             }
         }
         let [of_earlier, of_later] = [earlier, later].map(|k| &stretch.keyframes[k].view);
-        let made = matcher.compare(of_earlier, of_later, guess, window).filter(|made| made.overlap >= OVERLAP);
+        let made =
+            matcher.compare(of_earlier, of_later, FirstGuess { window, ..guess.into() }).filter(|made| made.overlap >= OVERLAP);
         self.tried.insert((earlier, later), (guess, made));
         made
     }

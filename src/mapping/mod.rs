@@ -33,11 +33,11 @@ use std::ops::Range;
 use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::rejection::RejectionKnobs;
-use crate::matching::{MatchingKnobs, SearchWindow};
+use crate::matching::{MatchingKnobs, Prior};
 use crate::odometry::uncertainty;
 use crate::scan::Scan;
 use crate::time::Stamp;
-use edges::EdgeMatcher;
+use edges::{EdgeMatcher, Match};
 #[cfg(feature = "cli")]
 pub use graph_file::GraphFileError;
 pub use grid::{Evidence, EvidenceGrid};
@@ -53,6 +53,8 @@ pub use trajectory::Step;
 const SEQUENCE: usize = 3;
 /// Least part of the rays that must agree in such a match.
 const AGREEING: f64 = 0.6;
+/// ... and is this many standard deviations at most from what odometry says.
+const CONTRADICTING: f64 = 5.0;
 /// Rounds of looking for places of earlier at most: each finds some, or is of a greater window.
 const MAX_ROUNDS: usize = 60;
 /// Poses are found to this, m and rad, while more is to be found, ...
@@ -187,13 +189,26 @@ impl Mapper {
             if a.run != b.run {
                 break;
             }
-            let guess = self.graph.poses()[earlier].between(&self.graph.poses()[number]);
-            let made = self.matcher.compare(&a.view, &b.view, guess, SearchWindow::default());
-            if let Some(made) = made.filter(|made| made.agreement >= AGREEING) {
+            let told = self.told_by_odometry(earlier, number);
+            let made = self.matcher.compare(&a.view, &b.view, told.pose);
+            // Scans that fit in several places are of none that odometry contradicts.
+            let holds = |made: &Match| made.agreement >= AGREEING && told.deviation(&made.motion) <= CONTRADICTING;
+            if let Some(made) = made.filter(holds) {
                 let (motion, covariance) = (made.motion, made.covariance);
                 self.graph.add_edge(Edge { from: earlier, to: number, motion, covariance, kind: EdgeKind::Sequence });
             }
         }
+    }
+
+    /// The motion from one keyframe to a later one of the same run, by odometry alone.
+    fn told_by_odometry(&self, earlier: usize, later: usize) -> Prior {
+        let steps = self.graph.edges().iter().rev().filter(|edge| edge.kind == EdgeKind::Odometry && edge.to <= later);
+        let begun = Prior { pose: Pose2::IDENTITY, covariance: PoseCovariance::zeros() };
+        // From the last step back: what comes before is seen from its start.
+        steps.take(later - earlier).fold(begun, |after, step| Prior {
+            pose: step.motion * after.pose,
+            covariance: uncertainty::compound(&step.motion, &step.covariance, &after.pose, &after.covariance),
+        })
     }
 
     /// One round of looking for places of earlier, in small windows first, and the poses that fit; answers whether there is more to do.

@@ -81,7 +81,7 @@ impl UncertaintyEstimator {
         let covariance = sums.covariance(solution.range_noise);
         Uncertainty {
             covariance,
-            information: covariance.and_then(|covariance| covariance.try_inverse()),
+            information: covariance.and_then(Matrix3::try_inverse),
             condition_number: condition_number(&symmetric(&sums.information), sums.distance / solution.pairs.len().max(1) as f64),
             free_direction: None,
         }

@@ -149,7 +149,7 @@ pub struct Prior {
 
 impl Prior {
     /// How far a pose is from this one, in standard deviations (Mahalanobis 1936).
-    fn deviation(&self, pose: &Pose2) -> f64 {
+    pub(crate) fn deviation(&self, pose: &Pose2) -> f64 {
         let offset = Vector3::new(pose.x - self.pose.x, pose.y - self.pose.y, wrap_angle(pose.theta - self.pose.theta));
         self.covariance.try_inverse().map_or(0.0, |information| offset.dot(&(information * offset)).sqrt())
     }

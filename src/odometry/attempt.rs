@@ -48,7 +48,7 @@ impl Prediction {
 pub(super) struct Attempt {
     /// The answer before.
     pub(super) last: Last,
-    /// MotionState of the base since then.
+    /// Motion of the base since then.
     pub(super) prediction: Prediction,
     /// What odometry says of that motion, believed or not.
     pub(super) said: Option<Prediction>,

@@ -300,7 +300,7 @@ impl LaserOdometry {
             return answer;
         }
         let Some(last) = self.last else { return self.answer_first(scan, base_from_laser, self.start, PoseCovariance::zeros()) };
-        let attempt = self.attempt(last, scan.stamp(), base_from_laser);
+        let attempt = self.attempt(&last, scan.stamp(), base_from_laser);
         let Some(keyframe) = self.keyframe else {
             let (map_from_base, covariance) = attempt.predicted_base();
             return self.answer_first(scan, base_from_laser, map_from_base, covariance);
@@ -677,12 +677,12 @@ impl LaserOdometry {
     }
 
     /// What is known of the pose of a scan taken at `stamp`.
-    fn attempt(&mut self, last: Last, stamp: Stamp, base_from_laser: &Pose2) -> Attempt {
-        let prediction = self.predict(&last, stamp);
+    fn attempt(&mut self, last: &Last, stamp: Stamp, base_from_laser: &Pose2) -> Attempt {
+        let prediction = self.predict(last, stamp);
         let said = self.sources.motion_without_imu(last.stamp, stamp);
         let said = said.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion) });
         let said_turn = self.sources.turn_by_imu(last.stamp, stamp);
-        Attempt { last, prediction, said, said_turn, base_from_laser: *base_from_laser }
+        Attempt { last: *last, prediction, said, said_turn, base_from_laser: *base_from_laser }
     }
 
     /// The motion of the base since the last answer: by what says so, where that is believed, else at constant velocity.

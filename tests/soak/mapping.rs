@@ -43,7 +43,7 @@ fn json(arguments: &[&str]) -> Value {
 #[test]
 fn corridors_that_look_alike_are_not_taken_for_each_other() {
     let seeds = std::env::var("SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(8);
-    let mut worst: f64 = 0.0;
+    let (mut worst, mut farthest): (f64, f64) = (0.0, 0.0);
     for seed in 1..=seeds {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
@@ -57,9 +57,14 @@ fn corridors_that_look_alike_are_not_taken_for_each_other() {
         std::fs::write(path("truth.tum"), poses).unwrap();
         let summary = json(&["map", &path("x.bag"), "--out", &path("x"), "--tum", &path("final.tum"), "--json"]);
         let found = json(&["evaluate", &path("final.tum"), "--truth", &path("truth.tum"), "--json"]);
-        let (rmse, max) = (&found["ate"]["trans_m"]["rmse"], found["ate"]["trans_m"]["max"].as_f64().unwrap());
-        println!("seed {seed}: {} m, {} loop edges, ATE {rmse} m, at most {max:.3} m", summary["distance_m"], summary["loops"]);
-        worst = worst.max(max);
+        let [rmse, max] = ["rmse", "max"].map(|name| found["ate"]["trans_m"][name].as_f64().unwrap());
+        println!(
+            "seed {seed}: {} m, {} loop edges, ATE {rmse:.3} m, at most {max:.3} m",
+            summary["distance_m"], summary["loops"]
+        );
+        (worst, farthest) = (worst.max(rmse), farthest.max(max));
     }
-    assert!(worst < 0.3, "{worst} m: a loop was closed that is none");
+    // A wrong loop bends the whole map; a keyframe by itself may be placed wrong where niche is like niche.
+    assert!(worst < 0.15, "{worst} m: a loop was closed that is none");
+    assert!(farthest < 0.8, "{farthest} m");
 }
