@@ -1,13 +1,14 @@
-//! Instructions of one match, counted by callgrind: figures that no other program spoils. `CARGO_INCREMENTAL=0 cargo test --bench
-//! instructions` holds those of the tests' profile, and `cargo bench` in its place those of the release, against the file kept in
-//! `benches/instructions/`, where that was written with the same compiler for the same instruction set; `UPDATE_GOLDEN=1` renews it.
+//! Instructions of one match, counted by callgrind: figures that no other program spoils, held against `benches/instructions.csv` where
+//! that was written with the same compiler for the same instruction set. The profile `counted` compiles the library in one part, so that
+//! only what a change touches moves:
+//! `cargo test --profile counted --no-default-features --bench instructions`; `UPDATE_GOLDEN=1` renews the file.
 #![allow(missing_docs, clippy::panic, clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
 
 mod walk;
 
 use std::fmt::Write;
 use std::hint::black_box;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, ExitCode, Output};
 use std::{env, fs};
 
@@ -68,20 +69,16 @@ fn valgrind(tool: &[&str], arguments: &[&str]) -> Output {
     Command::new("valgrind").args(tool).arg(env::current_exe().unwrap()).args(arguments).output().unwrap()
 }
 
-/// The file of this profile: cargo has a folder for each, and programs in `deps` in it.
-fn file() -> PathBuf {
-    let program = env::current_exe().unwrap();
-    let profile = program.ancestors().nth(2).and_then(Path::file_name).unwrap();
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/instructions").join(profile).with_extension("csv")
+/// Whether this is the profile that the figures are of: cargo has a folder for each, and programs in `deps` in it.
+fn is_counted_profile() -> bool {
+    env::current_exe().unwrap().ancestors().nth(2).is_some_and(|profile| profile.ends_with("counted"))
 }
 
-/// What the figures hang on beside code and profile: instruction set, compiler, and whether it worked incrementally, which cuts the
-/// crate into smaller parts and inlines less.
+/// What the figures hang on beside the code: instruction set and compiler.
 fn circumstances() -> String {
     let level = String::from_utf8(valgrind(&["--tool=none"], &[LEVEL]).stdout).unwrap();
     let compiler = String::from_utf8(Command::new("rustc").arg("--version").output().unwrap().stdout).unwrap();
-    let build = if option_env!("CARGO_INCREMENTAL") == Some("0") { "whole" } else { "incremental" };
-    format!("# {}, {}, {build}", level.split('(').next().unwrap().trim(), compiler.trim())
+    format!("# {}, {}", level.split('(').next().unwrap().trim(), compiler.trim())
 }
 
 /// Instructions of one match.
@@ -94,11 +91,15 @@ fn count(stage: &str, beams: usize) -> f64 {
 }
 
 fn check() -> ExitCode {
+    if !is_counted_profile() {
+        eprintln!("SKIPPED: instructions are counted with --profile counted --no-default-features");
+        return ExitCode::SUCCESS;
+    }
     if Command::new("valgrind").arg("--version").output().is_err() {
         eprintln!("SKIPPED: valgrind is not installed; no instructions are counted");
         return ExitCode::SUCCESS;
     }
-    let file = file();
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/instructions.csv");
     let kept = fs::read_to_string(&file).unwrap_or_default();
     let here = circumstances();
     let mut found = format!("{here}\nstage,beams,instructions\n");
