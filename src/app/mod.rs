@@ -468,6 +468,11 @@ impl App {
         &self.counters
     }
 
+    /// Scans show the robot where the wheel odometry had it so much earlier, s; found along the path, 0 as long as nothing says so.
+    pub fn odometry_lag(&self) -> f64 {
+        self.odometry.odometry_lag()
+    }
+
     /// Events of the odometry counted so far.
     pub fn odometry_counters(&self) -> &OdometryCounters {
         self.odometry.counters()

@@ -1,9 +1,12 @@
 //! A scan that is to be matched: what is known of its pose beforehand.
 
+use nalgebra::Vector3;
+
 use super::local_map::Placement;
 use super::motion_state::MotionState;
+use super::source_noise::SourceNoise;
 use super::uncertainty;
-use crate::geometry::{Pose2, PoseCovariance, Twist2};
+use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
 use crate::matching::{Prior, SearchWindow};
 use crate::time::Stamp;
 
@@ -41,6 +44,22 @@ impl Prediction {
     /// None.
     pub(super) const NONE: Self =
         Self { motion: Pose2::IDENTITY, covariance: PoseCovariance::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) };
+
+    /// With the noise that was learned of its source.
+    pub(super) fn with_noise(&self, noise: SourceNoise) -> Self {
+        Self { covariance: self.covariance * noise.factor(), ..*self }
+    }
+
+    /// What is known when another source says something of the same motion, with errors of its own (the Kalman filter's update).
+    pub(super) fn and(&self, other: &Self) -> Self {
+        let sum = self.covariance + other.covariance;
+        let Some(information) = sum.try_inverse() else { return *self };
+        let gain = self.covariance * information;
+        let (a, b) = (self.motion, other.motion);
+        let change = gain * Vector3::new(b.x - a.x, b.y - a.y, wrap_angle(b.theta - a.theta));
+        let motion = Pose2::new(a.x + change.x, a.y + change.y, wrap_angle(a.theta + change.z));
+        Self { motion, covariance: self.covariance - gain * self.covariance }
+    }
 }
 
 /// A scan to be matched.
@@ -50,7 +69,9 @@ pub(super) struct Attempt {
     pub(super) last: Last,
     /// Motion of the base since then.
     pub(super) prediction: Prediction,
-    /// What odometry says of that motion, believed or not.
+    /// That motion if the base has gone on as it did.
+    pub(super) expected: Prediction,
+    /// What odometry says of it, believed or not.
     pub(super) said: Option<Prediction>,
     /// What the IMU says of its turn, believed or not, rad, and the standard deviation.
     pub(super) said_turn: Option<(f64, f64)>,

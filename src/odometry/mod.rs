@@ -8,13 +8,14 @@ mod attempt;
 mod clock_step;
 mod drift;
 pub mod heading;
+mod lag;
 mod local_map;
 mod loop_closure;
 mod motion_state;
 mod registration;
 mod set_pose;
+mod source_noise;
 pub mod sources;
-mod trust;
 pub mod uncertainty;
 pub mod wheel;
 
@@ -34,8 +35,8 @@ use motion_state::MotionState;
 pub use registration::{Disbelieved, Failure, FailureReason, MatchedPoints, Outcome, RefinementReport, Registration};
 use registration::{matched_points, report};
 use set_pose::SetPose;
+use source_noise::SourceNoise;
 use sources::MotionSources;
-use trust::Trust;
 use wheel::{WheelEvent, WheelSample};
 
 /// Stamps that go back farther than this start a new run (a bag played in a loop); less is a scan out of order, s.
@@ -127,7 +128,7 @@ pub struct OdometryCounters {
     pub odometry_resets: u64,
     /// Scans whose motion the wheel odometry did not cover.
     pub without_odometry: u64,
-    /// Scans whose motion was not predicted by the odometry there was, as the matches before had contradicted it.
+    /// Scans whose prediction made next to nothing of the odometry there was, as the matches before had contradicted it.
     pub odometry_disbelieved: u64,
     /// The same of the IMU.
     pub imu_disbelieved: u64,
@@ -138,10 +139,7 @@ pub struct LaserOdometry {
     knobs: OdometryKnobs,
     matcher: Matcher,
     sources: MotionSources,
-    /// Whether what the sources say is believed.
-    trust: Trust,
-    /// The same of the IMU.
-    imu_trust: Trust,
+    noise: LearnedNoise,
     clock_step: ClockStep,
     /// A scan was answered before the odometry had come for it: it may have died, none is waited for until it is back.
     waited_in_vain: bool,
@@ -174,8 +172,7 @@ impl LaserOdometry {
             knobs: knobs.clone(),
             matcher: Matcher::new(matching, rejection).learning_noise(),
             sources: MotionSources::default(),
-            trust: Trust::default(),
-            imu_trust: Trust::default(),
+            noise: LearnedNoise::default(),
             clock_step: ClockStep::default(),
             waited_in_vain: false,
             map: LocalMap::default(),
@@ -213,6 +210,11 @@ impl LaserOdometry {
         self.matched_points.as_ref()
     }
 
+    /// Scans show the robot where the wheel odometry had it so much earlier, s; found along the path, 0 as long as nothing says so.
+    pub fn odometry_lag(&self) -> f64 {
+        self.sources.wheel_lag()
+    }
+
     /// What each iteration of the last match did; empty where there was none for the last answer.
     pub fn iterations(&self) -> &[IterationTrace] {
         &self.iterations
@@ -227,7 +229,7 @@ impl LaserOdometry {
     pub fn restart_at(&mut self, map_from_base: Pose2) {
         self.forget_reference();
         self.usual_agreement = 1.0;
-        (self.trust, self.imu_trust) = Default::default();
+        self.noise = LearnedNoise::default();
         self.clock_step = ClockStep::default();
         self.last = None;
         self.map_from_odom = Pose2::IDENTITY;
@@ -323,7 +325,7 @@ impl LaserOdometry {
         if worth_finishing {
             self.unfinished = Some((scan.clone(), attempt, found.keyframe_from_laser));
         } else {
-            self.judge_sources(&attempt, &found);
+            self.judge_sources(&attempt, &found, scan.stamp());
         }
         match found.answer {
             Ok(answer) => self.conclude(scan, base_from_laser, answer, becomes_keyframe),
@@ -344,7 +346,7 @@ impl LaserOdometry {
             return None;
         }
         let start = scan.stamp().offset_by(first_ray.min(first_ray + sweep));
-        let by_wheels = self.sources.motion(start, start.offset_by(seconds)).filter(|_| self.trust.is_given());
+        let by_wheels = self.sources.motion(start, start.offset_by(seconds)).filter(|_| !self.noise.odometry.is_disbelieved());
         let motion = by_wheels.or_else(|| Some(self.last?.mean_twist.motion(seconds)))?;
         let laser_motion = base_from_laser.inverse() * motion * *base_from_laser;
         Some(scan.undistorted(&Twist2::of_motion(&laser_motion, seconds), first_ray, sweep))
@@ -367,7 +369,7 @@ impl LaserOdometry {
             self.replace_reference(&scan, &attempt, &found);
             return;
         }
-        self.judge_sources(&attempt, &found);
+        self.judge_sources(&attempt, &found, scan.stamp());
         let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
         if let Ok(answer) = found.answer {
             // As if this had been the answer; a keyframe stays one.
@@ -578,7 +580,7 @@ impl LaserOdometry {
             refinement: None,
             predicted_error: ErrorEstimate::UNKNOWN,
             estimated_error: ErrorEstimate::UNKNOWN,
-            disbelieved: Disbelieved { odometry: !self.trust.is_given(), imu: !self.imu_trust.is_given() },
+            disbelieved: self.noise.disbelieved(),
             new_keyframe: false,
         }
     }
@@ -644,7 +646,7 @@ impl LaserOdometry {
         }
         self.counters.predicted += 1;
         let (map_from_base, covariance, prediction) = match self.last {
-            Some(last) => (last.map_from_base, last.covariance, self.predict(&last, stamp)),
+            Some(last) => (last.map_from_base, last.covariance, self.attempt(&last, stamp, &Pose2::IDENTITY).prediction),
             None => (self.start, PoseCovariance::zeros(), Prediction::NONE),
         };
         let Prediction { motion, covariance: motion_covariance } = prediction;
@@ -676,40 +678,40 @@ impl LaserOdometry {
         }
     }
 
-    /// What is known of the pose of a scan taken at `stamp`.
+    /// What is known of the pose of a scan taken at `stamp`: the base has gone on as it did, and moved as the odometry says, each as far
+    /// as it has been right lately.
     fn attempt(&mut self, last: &Last, stamp: Stamp, base_from_laser: &Pose2) -> Attempt {
-        let prediction = self.predict(last, stamp);
+        self.waited_in_vain = self.sources.is_behind(stamp);
+        let expected = last.motion.expect(stamp.seconds_since(last.stamp)).prediction();
         let said = self.sources.motion_without_imu(last.stamp, stamp);
         let said = said.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion) });
         let said_turn = self.sources.turn_by_imu(last.stamp, stamp);
-        Attempt { last: *last, prediction, said, said_turn, base_from_laser: *base_from_laser }
+        self.count_disbelieved(said.is_some());
+        let steady = expected.with_noise(self.noise.velocity);
+        let known = said.map_or(steady, |said| said.with_noise(self.noise.odometry).and(&steady));
+        self.sources.believe_imu(!self.noise.imu.is_disbelieved());
+        let prediction = self.sources.with_heading(&known, last.stamp, stamp);
+        Attempt { last: *last, prediction, expected, said, said_turn, base_from_laser: *base_from_laser }
     }
 
-    /// The motion of the base since the last answer: by what says so, where that is believed, else at constant velocity.
-    fn predict(&mut self, last: &Last, stamp: Stamp) -> Prediction {
-        self.waited_in_vain = self.sources.is_behind(stamp);
-        self.sources.believe_imu(self.imu_trust.is_given());
-        let said = self.sources.motion_without_imu(last.stamp, stamp);
-        let believed = said.filter(|_| self.trust.is_given());
-        self.counters.without_odometry += u64::from(said.is_none());
-        self.counters.odometry_disbelieved += u64::from(said.is_some() && believed.is_none());
-        self.counters.imu_disbelieved += u64::from(!self.imu_trust.is_given());
-        let seconds = stamp.seconds_since(last.stamp);
-        let by_odometry = believed.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion) });
-        let Prediction { motion, covariance } = by_odometry.unwrap_or_else(|| last.motion.expect(seconds).prediction());
-        let (motion, covariance) = self.sources.with_heading(motion, covariance, last.stamp, stamp);
-        Prediction { motion, covariance }
+    fn count_disbelieved(&mut self, has_odometry: bool) {
+        let Disbelieved { odometry, imu } = self.noise.disbelieved();
+        self.counters.without_odometry += u64::from(!has_odometry);
+        self.counters.odometry_disbelieved += u64::from(has_odometry && odometry);
+        self.counters.imu_disbelieved += u64::from(imu);
     }
 
     /// What a match that is done makes of what each source said; a scan that was not matched says nothing.
-    fn judge_sources(&mut self, attempt: &Attempt, found: &Found) {
+    fn judge_sources(&mut self, attempt: &Attempt, found: &Found, stamp: Stamp) {
         let Ok(answer) = &found.answer else { return };
+        self.sources.learn_lag(stamp, self.map_from_odom.inverse() * answer.map_from_base);
         let motion = attempt.last.map_from_base.between(&answer.map_from_base);
+        self.noise.velocity.judge(source_noise::deviation(&attempt.expected, &motion));
         if let Some(said) = &attempt.said {
-            self.trust.judge(trust::deviation(said, &motion));
+            self.noise.odometry.judge(source_noise::deviation(said, &motion));
         }
         if let Some((turn, deviation)) = attempt.said_turn {
-            self.imu_trust.judge(wrap_angle(motion.theta - turn).abs() / deviation);
+            self.noise.imu.judge(wrap_angle(motion.theta - turn).abs() / deviation);
         }
     }
 
@@ -772,6 +774,21 @@ fn is_steady(before: &Twist2, after: &Twist2, seconds: f64) -> bool {
     let turn_change = (after.omega - before.omega).abs();
     let within = |change: f64, jump: f64, acceleration: f64| change * seconds < jump + acceleration * seconds * seconds;
     within(change, JUMP, MAX_ACCELERATION) && within(turn_change, TURN_JUMP, MAX_TURN_ACCELERATION)
+}
+
+/// How wrong each source of motion has been lately.
+#[derive(Clone, Copy, Debug, Default)]
+struct LearnedNoise {
+    /// The robot going on as it did.
+    velocity: SourceNoise,
+    odometry: SourceNoise,
+    imu: SourceNoise,
+}
+
+impl LearnedNoise {
+    fn disbelieved(&self) -> Disbelieved {
+        Disbelieved { odometry: self.odometry.is_disbelieved(), imu: self.imu.is_disbelieved() }
+    }
 }
 
 /// What [`LaserOdometry::conclude`] turns into a [`Registration`].

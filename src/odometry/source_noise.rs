@@ -1,40 +1,57 @@
-//! Whether a source of motion is to be believed, each judged on its own: wheels that slip, or that count up while the robot backs, say the
-//! same wrong thing for seconds (the latter is in the fr079 log). One wrong step is put right by its match; a prior that is wrong scan after scan drags the matches along
-//! until they fit nothing.
+//! How wrong a source of motion is, learned from the matches, each source for itself: wheels that slip, or that count up while the robot
+//! backs, say the same wrong thing for seconds (the latter is in the fr079 log), and a velocity is none where stamps jitter. A prior that
+//! is wrong scan after scan and claims to be right drags the matches along until they fit nothing.
+//!
+//! The covariance that a source's model claims is multiplied by how much the squared errors of the last steps exceed it: the noise
+//! adaptive Kalman filter's estimate from innovations (Mehra 1970), that only ever adds noise.
 
 use nalgebra::Vector3;
 
 use super::attempt::Prediction;
 use crate::geometry::{Pose2, wrap_angle};
 
-/// What is this many standard deviations from what a source says contradicts it.
-pub(super) const CONTRADICTING: f64 = 5.0;
-/// So many matches in a row that contradict it, and it is not believed until one does not.
-const ENOUGH: u32 = 2;
+/// A source whose last steps err by three times what its model claims is worth next to nothing.
+const DISBELIEVED: f64 = 9.0;
+/// Weight of the last step in the learned noise: after four steps most of it is new.
+const WEIGHT: f64 = 0.25;
+/// A step that errs by more standard deviations than this counts as one that errs by so many: one jump is forgotten within a dozen.
+const CLIPPED: f64 = 20.0;
 
-/// What the last matches say of a source.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Trust {
-    contradictions: u32,
+/// What the last steps say of a source.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SourceNoise {
+    factor: f64,
 }
 
-impl Trust {
-    /// Whether to predict by it.
-    pub(super) fn is_given(self) -> bool {
-        self.contradictions < ENOUGH
+impl Default for SourceNoise {
+    fn default() -> Self {
+        Self { factor: 1.0 }
+    }
+}
+
+impl SourceNoise {
+    /// So many times the covariance that its model claims is that of what it says; at least 1.
+    pub(super) fn factor(self) -> f64 {
+        self.factor
     }
 
-    /// What a match makes of what was said of its motion: so many standard deviations it is from that.
+    /// Whether the last steps contradict it: next to nothing is made of what it says.
+    pub(super) fn is_disbelieved(self) -> bool {
+        self.factor >= DISBELIEVED
+    }
+
+    /// What the matches make of a step: it errs by so many standard deviations of the model, in the mean over its coordinates.
     pub(super) fn judge(&mut self, deviation: f64) {
-        self.contradictions = if deviation > CONTRADICTING { self.contradictions + 1 } else { 0 };
+        let seen = deviation.min(CLIPPED).powi(2);
+        self.factor = (self.factor + WEIGHT * (seen - self.factor)).max(1.0);
     }
 }
 
-/// Mahalanobis distance of a motion from the one that was said.
+/// Standard deviations, in the mean over the coordinates, of a motion from the one that was said.
 pub(super) fn deviation(said: &Prediction, found: &Pose2) -> f64 {
     let Pose2 { x, y, theta } = said.motion;
     let error = Vector3::new(found.x - x, found.y - y, wrap_angle(found.theta - theta));
-    said.covariance.cholesky().map_or(0.0, |known| error.dot(&known.solve(&error)).max(0.0).sqrt())
+    said.covariance.cholesky().map_or(0.0, |known| (error.dot(&known.solve(&error)).max(0.0) / 3.0).sqrt())
 }
 
 #[cfg(test)]
@@ -42,25 +59,31 @@ mod tests {
     use super::*;
     use crate::odometry::uncertainty;
 
-    fn judged(steps: &[(f64, f64)]) -> bool {
-        let mut trust = Trust::default();
+    fn after(steps: &[(f64, f64)]) -> SourceNoise {
+        let mut noise = SourceNoise::default();
         for &(said, found) in steps {
             let motion = Pose2::new(said, 0.0, 0.0);
             let said = Prediction { motion, covariance: uncertainty::of_wheels(&motion) };
-            trust.judge(deviation(&said, &Pose2::new(found, 0.0, 0.0)));
+            noise.judge(deviation(&said, &Pose2::new(found, 0.0, 0.0)));
         }
-        trust.is_given()
+        noise
     }
 
     #[test]
-    fn odometry_is_believed_until_it_is_contradicted_again_and_again() {
-        assert!(judged(&[]));
-        assert!(judged(&[(0.1, 0.12), (0.1, 0.08), (0.1, 0.12)]), "as usual");
-        assert!(judged(&[(0.1, -0.1)]), "once");
-        assert!(judged(&[(0.1, -0.1), (0.1, 0.1), (0.1, -0.1)]), "twice, with an agreement between");
-        assert!(!judged(&[(0.1, -0.1), (0.1, -0.1)]));
-        assert!(!judged(&[(0.1, -0.1), (0.1, -0.1), (0.1, -0.1)]));
-        assert!(judged(&[(0.1, -0.1), (0.1, -0.1), (0.1, 0.1)]), "right again");
+    fn noise_is_what_the_model_claims_until_steps_err_by_more() {
+        assert!((after(&[]).factor() - 1.0).abs() < 1e-12);
+        assert!((after(&[(0.1, 0.12), (0.1, 0.08), (0.1, 0.12)]).factor() - 1.0).abs() < 1e-12, "as usual");
+        let wrong = [(0.1, -0.1); 12];
+        assert!(after(&wrong).factor() > DISBELIEVED && after(&wrong).is_disbelieved());
+        assert!(after(&wrong).factor() > 2.0 * after(&wrong[..1]).factor());
+        let right_again = [&wrong[..], &[(0.1, 0.1); 20]].concat();
+        assert!(after(&right_again).factor() < 1.2 && !after(&right_again).is_disbelieved());
+    }
+
+    #[test]
+    fn one_jump_is_soon_forgotten() {
+        let jump = [&[(0.1, 100.0)][..], &[(0.1, 0.1); 12]].concat();
+        assert!(after(&jump).factor() < 5.0, "{}", after(&jump).factor());
     }
 
     #[test]
@@ -68,6 +91,6 @@ mod tests {
         let motion = Pose2::new(0.0, 0.0, 3.0);
         let said = Prediction { motion, covariance: uncertainty::of_wheels(&motion) };
         assert!(deviation(&said, &Pose2::new(0.0, 0.0, -3.0)) < 1.0);
-        assert!(deviation(&said, &Pose2::IDENTITY) > CONTRADICTING);
+        assert!(deviation(&said, &Pose2::IDENTITY) > 3.0);
     }
 }

@@ -3,13 +3,16 @@
 //! The better one goes first: transforms of another node, the heading of an IMU, wheel odometry, a velocity. Where there is none,
 //! the robot is taken to go on as it did.
 
-use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
+use crate::geometry::{Pose2, Twist2, wrap_angle};
 use crate::time::Stamp;
 
+use super::attempt::Prediction;
 use super::heading::{Heading, HeadingReading};
-use super::trust::CONTRADICTING;
+use super::lag::Lag;
 use super::wheel::{WheelEvent, WheelOdometry, WheelSample};
 
+/// A turn this many standard deviations from another contradicts it.
+const CONTRADICTING: f64 = 5.0;
 /// A velocity that is older than this says nothing about a scan, s.
 const OLDEST_VELOCITY: f64 = 0.5;
 /// Standard deviation of an IMU's turn: so much, rad, ...
@@ -25,6 +28,7 @@ pub struct MotionSources {
     /// The matches contradict the IMU: its turns are not used.
     heading_disbelieved: bool,
     wheels: WheelOdometry,
+    wheel_lag: Lag,
     /// With the stamp of the last scan before it came: velocities have none of their own.
     velocity: Option<(Stamp, Twist2)>,
 }
@@ -57,12 +61,27 @@ impl MotionSources {
 
     /// Whether something comes that says where the base is at `stamp`, and has not come yet.
     pub fn is_behind(&self, stamp: Stamp) -> bool {
-        self.wheels.is_behind(stamp) || self.transforms.is_due(stamp) || self.heading.is_due(stamp)
+        self.wheels.is_behind(self.by_wheel_clock(stamp)) || self.transforms.is_due(stamp) || self.heading.is_due(stamp)
     }
 
     /// The stamp of the last message of wheel odometry.
     pub fn last_wheel_stamp(&self) -> Option<Stamp> {
         self.wheels.last_stamp()
+    }
+
+    /// A scan shows where the wheels had the robot so long before its stamp, s.
+    pub fn wheel_lag(&self) -> f64 {
+        self.wheel_lag.seconds()
+    }
+
+    /// Takes where a match has found the base, in a frame in which it does not jump: the wheels' lag is learned by it.
+    pub fn learn_lag(&mut self, stamp: Stamp, odom_from_base: Pose2) {
+        self.wheel_lag.learn(stamp, odom_from_base, &self.wheels);
+    }
+
+    /// What the wheels' clock said when a scan of this stamp was taken.
+    fn by_wheel_clock(&self, stamp: Stamp) -> Stamp {
+        stamp.offset_by(-self.wheel_lag.seconds())
     }
 
     /// The motion of the base from one time to another, seen from the first; `None` where nothing covers it.
@@ -73,7 +92,8 @@ impl MotionSources {
 
     /// The same by all but the IMU.
     pub fn motion_without_imu(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
-        let by_wheels = || self.wheels.motion(from, to).or_else(|| self.by_velocity(from, to));
+        let by_wheels =
+            || self.wheels.motion(self.by_wheel_clock(from), self.by_wheel_clock(to)).or_else(|| self.by_velocity(from, to));
         self.transforms.motion(from, to).or_else(by_wheels)
     }
 
@@ -101,16 +121,16 @@ impl MotionSources {
 
     /// A motion that was predicted some other way, with the IMU's turn where that is known better. Where the two contradict one another,
     /// one of them is wrong, and the heading is known no better than that.
-    pub fn with_heading(&self, motion: Pose2, covariance: PoseCovariance, from: Stamp, to: Stamp) -> (Pose2, PoseCovariance) {
-        let Some((turn, deviation)) = self.believed_turn(from, to) else { return (motion, covariance) };
-        let mut known = covariance;
+    pub(super) fn with_heading(&self, known: &Prediction, from: Stamp, to: Stamp) -> Prediction {
+        let Some((turn, deviation)) = self.believed_turn(from, to) else { return *known };
+        let Prediction { motion, mut covariance } = *known;
         let difference = wrap_angle(turn - motion.theta);
         if difference.abs() > CONTRADICTING * covariance[(2, 2)].sqrt().hypot(deviation) {
-            known[(2, 2)] = difference * difference;
-            return (motion, known);
+            covariance[(2, 2)] = difference * difference;
+            return Prediction { motion, covariance };
         }
-        known[(2, 2)] = known[(2, 2)].min(deviation * deviation);
-        (with_turn(&motion, turn), known)
+        covariance[(2, 2)] = covariance[(2, 2)].min(deviation * deviation);
+        Prediction { motion: with_turn(&motion, turn), covariance }
     }
 }
 
@@ -163,12 +183,12 @@ mod tests {
     fn an_imu_alone_turns_what_was_predicted_and_says_how_well() {
         let mut sources = MotionSources::default();
         let covariance = uncertainty::diagonal(0.035, 0.11);
-        let straight = Pose2::new(0.1, 0.0, 0.0);
-        assert_eq!(sources.with_heading(straight, covariance, at(0.0), at(0.1)), (straight, covariance));
+        let straight = Prediction { motion: Pose2::new(0.1, 0.0, 0.0), covariance };
+        assert_eq!(sources.with_heading(&straight, at(0.0), at(0.1)).motion, straight.motion);
         for (seconds, yaw) in [(0.0, 0.0), (0.1, 0.2)] {
             sources.push_heading(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 2.0 });
         }
-        let (turned, known) = sources.with_heading(straight, covariance, at(0.0), at(0.1));
+        let Prediction { motion: turned, covariance: known } = sources.with_heading(&straight, at(0.0), at(0.1));
         assert!((turned.theta - 0.2).abs() < 1e-9 && known[(2, 2)] < 0.1 * covariance[(2, 2)]);
         assert_eq!(known[(0, 0)].to_bits(), covariance[(0, 0)].to_bits());
     }

@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 use crate::geometry::{Pose2, Twist2};
 use crate::time::Stamp;
 
-/// Messages kept: 10 s at 100 Hz, and far more than any scan needs.
-const CAPACITY: usize = 1000;
+/// Messages kept: 4 s at 1 kHz, more than the longest lag that is looked for.
+const CAPACITY: usize = 4000;
 /// Odometry older than this says nothing about a scan, s.
 const MAX_EXTRAPOLATION: f64 = 0.5;
 /// Over a shorter time than this the velocity is as good as a message, s.

@@ -39,6 +39,8 @@ pub struct Ending {
     pub log: ReplayLog,
     /// What the odometry counted.
     pub counters: OdometryCounters,
+    /// Scans lag so far behind the odometry, s.
+    pub odometry_lag: f64,
     /// Where the laser's place is known from.
     pub mount_source: MountSource,
     /// Comparison with the truth.
@@ -72,7 +74,10 @@ impl Ending {
             (self.counters.duplicate_odometry, "odometry messages with the stamp of the one before"),
             (self.counters.odometry_resets, "jumps of the odometry"),
             (self.counters.imu_disbelieved, "scans predicted without the IMU, which the scans before had contradicted"),
-            (self.counters.odometry_disbelieved, "scans predicted without the odometry, which the scans before had contradicted"),
+            (
+                self.counters.odometry_disbelieved,
+                "scans predicted almost without the odometry, which the scans before had contradicted",
+            ),
         ];
         problems.extend(counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")));
         problems
@@ -157,6 +162,7 @@ impl Summary {
             "mean_iterations": self.mean_iterations(),
             "keyframes": ending.counters.keyframes,
             "closed_loops": ending.counters.closed_loops,
+            "odometry_lag_s": ending.odometry_lag,
             "time_us": {"p50": p50, "p99": p99, "max": max},
             "deadline": {
                 "budget_us": self.budgets.filter(|(shortest, longest)| shortest == longest).map(|(budget, _)| microseconds(budget)),
@@ -189,6 +195,12 @@ impl Summary {
         table.add_row(["path length", &format!("{:.2} m", self.path_length())]);
         table.add_row(["keyframes", &ending.counters.keyframes.to_string()]);
         table.add_row(["closed loops", &ending.counters.closed_loops.to_string()]);
+        if ending.odometry_lag != 0.0 {
+            table.add_row([
+                "odometry lag",
+                &format!("scans show the robot where odometry had it {:.2} s before", ending.odometry_lag),
+            ]);
+        }
         table.add_row(["mean iterations", &format!("{:.1}", self.mean_iterations())]);
         table.add_row(["time", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
         if let Some((shortest, longest)) = self.budgets {

@@ -53,6 +53,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let ending = Ending {
         log,
         counters: *app.odometry_counters(),
+        odometry_lag: app.odometry_lag(),
         mount_source: app.mount().1,
         report,
         bag_problems: bag.problems().iter().map(ToString::to_string).collect(),
