@@ -91,3 +91,24 @@ fn a_laser_on_edge_is_named() {
     assert!(summary["failures"]["tilted_mount"].as_u64() > Some(0), "{summary}");
     assert!(summary["problems"].to_string().contains("tilted by"), "{summary}");
 }
+
+/// A match 24 standard deviations from what odometry says, along a wall that leaves the heading open, is outweighed by the odometry.
+#[test]
+fn a_turn_that_the_odometry_does_not_know_is_not_believed() {
+    let Some(bag) = shared("cases/flip_after_lost.bag") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let tum = folder.path().join("x.tum");
+    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("replay").arg(bag).arg("--tum").arg(&tum).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let poses = std::fs::read_to_string(&tum).unwrap();
+    let [before, after] =
+        ["1232662036.094", "1232662036.706"].map(|stamp| heading(poses.lines().find(|line| line.starts_with(stamp)).unwrap()));
+    // The odometry turns by 0.1 degrees.
+    assert!((after - before).abs().to_degrees() < 2.0, "{before} {after}");
+}
+
+/// Of a line of a TUM file, rad.
+fn heading(line: &str) -> f64 {
+    let numbers: Vec<f64> = line.split_whitespace().map(|number| number.parse().unwrap()).collect();
+    2.0 * numbers[6].atan2(numbers[7])
+}

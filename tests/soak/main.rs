@@ -6,6 +6,7 @@ mod accuracy;
 #[path = "../common/mod.rs"]
 mod common;
 mod localization;
+mod log_variants;
 mod logs;
 mod mapping;
 mod odometry;

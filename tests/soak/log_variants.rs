@@ -1,0 +1,153 @@
+//! The real logs as other robots would have recorded them: scans fewer, coarser or narrower, odometry that errs by a scale or is stamped
+//! earlier. An estimator that was fitted to the logs as they are fails here.
+
+use std::f64::consts::FRAC_PI_3;
+use std::path::Path;
+use std::process::Command;
+
+use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
+use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::time::Stamp;
+use serde_json::Value;
+
+use crate::common::shared;
+
+/// What becomes of a message; `false`: it is left out.
+struct Variant {
+    name: &'static str,
+    scan: fn(&mut LaserScan, usize) -> bool,
+    odometry: fn(&mut Odometry),
+    /// The odometry is stamped, and comes, so much earlier, s.
+    lag: f64,
+}
+
+impl Default for Variant {
+    fn default() -> Self {
+        Self { name: "as it is", scan: |_, _| true, odometry: |_| (), lag: 0.0 }
+    }
+}
+
+/// Keeps every `step`-th beam from `first` on, `count` at most.
+#[allow(clippy::cast_precision_loss)]
+fn keep_beams(scan: &mut LaserScan, first: usize, step: usize, count: usize) {
+    scan.ranges = scan.ranges.iter().skip(first).step_by(step).take(count).copied().collect();
+    scan.intensities.clear();
+    scan.angle_min += first as f32 * scan.angle_increment;
+    scan.angle_increment *= step as f32;
+    scan.time_increment *= step as f32;
+    scan.angle_max = scan.angle_min + (scan.ranges.len() - 1) as f32 * scan.angle_increment;
+}
+
+#[allow(clippy::cast_sign_loss)] // a scan that looks ahead
+fn narrow(scan: &mut LaserScan) {
+    let (increment, half) = (f64::from(scan.angle_increment), FRAC_PI_3);
+    let first = ((-half - f64::from(scan.angle_min)) / increment).round() as usize;
+    keep_beams(scan, first, 1, (2.0 * half / increment) as usize + 1);
+}
+
+fn variants() -> Vec<Variant> {
+    vec![
+        Variant { name: "every second scan", scan: |_, i| i % 2 == 0, ..Variant::default() },
+        Variant {
+            name: "every fourth beam",
+            scan: |scan, _| {
+                keep_beams(scan, 0, 4, usize::MAX);
+                true
+            },
+            ..Variant::default()
+        },
+        Variant {
+            name: "120 degrees of view",
+            scan: |scan, _| {
+                narrow(scan);
+                true
+            },
+            ..Variant::default()
+        },
+        Variant {
+            name: "distances of odometry times 1.05",
+            odometry: |odometry| {
+                let position = &mut odometry.pose.pose.position;
+                (position.x, position.y) = (1.05 * position.x, 1.05 * position.y);
+            },
+            ..Variant::default()
+        },
+        Variant { name: "odometry 0.3 s earlier", lag: 0.3, ..Variant::default() },
+        Variant { name: "odometry 0.7 s earlier", lag: 0.7, ..Variant::default() },
+    ]
+}
+
+fn write(variant: &Variant, log: &Path, path: &Path) {
+    let bag = Bag::open(log).unwrap();
+    let mut messages: Vec<(Stamp, Result<LaserScan, Odometry>)> = Vec::new();
+    let mut scans = 0;
+    for message in bag.messages(Some(&["/scan", "/odom"])) {
+        let message = message.unwrap();
+        if message.connection.topic == "/scan" {
+            let mut scan: LaserScan = message.decode().unwrap();
+            scans += 1;
+            if (variant.scan)(&mut scan, scans) {
+                messages.push((message.time, Ok(scan)));
+            }
+        } else {
+            let mut odometry: Odometry = message.decode().unwrap();
+            (variant.odometry)(&mut odometry);
+            let stamp: Stamp = odometry.header.stamp.into();
+            odometry.header.stamp = stamp.offset_by(-variant.lag).into();
+            messages.push((message.time.offset_by(-variant.lag), Err(odometry)));
+        }
+    }
+    messages.sort_by_key(|&(time, _)| time);
+    let mut writer = BagWriter::create_whole(path, Compression::None).unwrap();
+    for (time, message) in &messages {
+        match message {
+            Ok(scan) => writer.write("/scan", *time, scan).unwrap(),
+            Err(odometry) => writer.write("/odom", *time, odometry).unwrap(),
+        }
+    }
+    writer.finish().unwrap();
+}
+
+fn json(arguments: &[&str]) -> Value {
+    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// Three times what the logs are held to as they are, m.
+#[test]
+fn other_robots_would_have_found_their_way_too() {
+    for (name, mount, limit) in [("fr079", "[-0.04, 0, 0]", 0.045), ("aces", "[0, 0, 0]", 0.06), ("intel", "[0, 0, 0]", 0.032)] {
+        let Some(log) = shared(&format!("data/{name}/{name}.bag")) else { return };
+        let relations = log.with_extension("relations");
+        let folder = tempfile::tempdir().unwrap();
+        let [bag, tum] = ["x.bag", "x.tum"].map(|file| folder.path().join(file));
+        let mount = format!("odometry.laser_in_base={mount}");
+        for variant in variants() {
+            write(&variant, &log, &bag);
+            let [bag, tum, relations] = [&bag, &tum, &relations].map(|path| path.to_str().unwrap());
+            json(&["replay", bag, "--tum", tum, "--json", "--set", &mount]);
+            let result = json(&["evaluate", tum, "--relations", relations, "--json"]);
+            let mean = result["relations"]["trans_m"]["mean"].as_f64().unwrap();
+            eprintln!("{name}, {}: {mean:.3} m", variant.name);
+            assert!(mean <= 3.0 * limit, "{name}, {}: {mean} m", variant.name);
+        }
+    }
+}
+
+/// A real log whose wheels say nothing for four scans and then all at once.
+#[test]
+fn a_dropout_of_the_odometry_is_survived_with_every_second_scan_too() {
+    let Some(log) = shared("cases/odometry_dropout.bag") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let [all, half, bag] = ["all.tum", "half.tum", "half.bag"].map(|file| folder.path().join(file));
+    write(&variants()[0], &log, &bag);
+    for (bag, tum) in [(&log, &all), (&bag, &half)] {
+        json(&["replay", bag.to_str().unwrap(), "--tum", tum.to_str().unwrap(), "--json"]);
+    }
+    let found = json(&["evaluate", half.to_str().unwrap(), "--truth", all.to_str().unwrap(), "--json"]);
+    let [distance, degrees] = ["ate_rmse_m", "ate_rmse_deg"].map(|name| found[name].as_f64().unwrap());
+    eprintln!("the path with every second scan: {distance:.3} m and {degrees:.2} degrees from that with all");
+    assert!(distance < 0.12 && degrees < 1.2, "{distance} m, {degrees} degrees");
+}
