@@ -39,7 +39,7 @@
 //! | [`localization`] | a particle filter: where on a map |
 //! | [`mapping`] | keyframes, a pose graph, loops, and the grid that comes of them |
 //! | [`io`] | bags, CARMEN logs, trajectories, relations, maps |
-//! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |
+//! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, docs/parameters.md |
 //! | [`app`] | messages in, estimates out |
 //! | [`replay`], `ros` | a bag, or a live graph, through the application |
 //! | [`profile`] | many replays: delay against error |
