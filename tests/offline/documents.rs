@@ -127,3 +127,18 @@ fn the_two_commands_are_on_the_first_screen_and_are_what_is_checked() {
         assert!(checks.lines().any(|line| line == step), "'{step}' is missing in .ci/run");
     }
 }
+
+#[test]
+fn ten_places_are_where_contributors_are_sent() {
+    let text = fs::read_to_string(root().join("CONTRIBUTING.md")).unwrap();
+    let (_, section) = text.split_once("## Ten places").unwrap();
+    let (section, _) = section.split_once("\n## ").unwrap();
+    let places: Vec<Vec<&str>> =
+        section.lines().map(|line| line.split('`').skip(1).step_by(2).collect()).filter(|row: &Vec<_>| row.len() == 2).collect();
+    assert_eq!(places.len(), 10);
+    for place in places {
+        let [file, name] = place[..] else { unreachable!() };
+        let code = fs::read_to_string(root().join(file)).unwrap();
+        assert!(code.contains(name), "{file} has no '{name}'");
+    }
+}
