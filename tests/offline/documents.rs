@@ -98,14 +98,9 @@ fn links_and_paths_lead_somewhere() {
     let mut broken = Vec::new();
     for (document, text) in documents() {
         let links = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
-        broken.extend(
-            links
-                .filter(|link| !leads_somewhere(&document, &text, link))
-                .map(|link| format!("{}: link {link}", document.display())),
-        );
-        broken.extend(
-            paths(&text).filter(|path| !root().join(path).exists()).map(|path| format!("{}: `{path}`", document.display())),
-        );
+        let links = links.filter(|link| !leads_somewhere(&document, &text, link));
+        let missing = links.chain(paths(&text).filter(|path| !root().join(path).exists()));
+        broken.extend(missing.map(|target| format!("{}: {target}", document.display())));
     }
     assert!(broken.is_empty(), "these lead nowhere:\n{}", broken.join("\n"));
 }
@@ -116,10 +111,8 @@ fn the_two_commands_are_on_the_first_screen_and_are_what_is_checked() {
     let readme = fs::read_to_string(root().join("README.md")).unwrap();
     let checks = fs::read_to_string(root().join(".ci/run")).unwrap();
     let first_screen: Vec<&str> = readme.lines().take(25).collect();
-    let commands: Vec<&str> = first_screen
-        .iter()
-        .filter_map(|line| line.starts_with("cargo ").then(|| line.split('#').next().unwrap().trim()))
-        .collect();
+    let commands = first_screen.iter().filter(|line| line.starts_with("cargo "));
+    let commands: Vec<&str> = commands.map(|line| line.split('#').next().unwrap().trim()).collect();
     let [run, test] = commands[..] else { panic!("two commands are expected: {commands:?}") };
     assert!(run.starts_with("cargo run") && test == "cargo test", "{commands:?}");
     for command in commands {
