@@ -143,11 +143,11 @@ fn delay_error(results: &Results, knob: Knob) -> Result<Picture, ProfileError> {
 fn difference_of_searches(cases: &[CaseSummary], knob: Knob) -> String {
     let seeks_nearest = |case: &&CaseSummary| case.case.variant.search().is_some_and(|search| search.search().is_some());
     let nearest: Vec<_> = cases.iter().filter(|case| case.case.knob == knob).filter(seeks_nearest).collect();
-    let solver = |case: &CaseSummary| case.case.variant.solver();
+    // Values are compared as they are shown.
+    let asked = |case: &CaseSummary| (case.case.variant.solver(), knob.show(case.case.value));
     let mut largest: Option<f64> = None;
     for (i, one) in nearest.iter().enumerate() {
-        let alike = nearest[i + 1..].iter().filter(|other| solver(other) == solver(one) && other.case.value == one.case.value);
-        for other in alike {
+        for other in nearest[i + 1..].iter().filter(|other| asked(other) == asked(one)) {
             let difference = (one.figures.position.rmse() - other.figures.position.rmse()).abs();
             largest = Some(largest.map_or(difference, |largest| largest.max(difference)));
         }

@@ -89,7 +89,8 @@ fn the_table_of_parameters_is_fresh() {
     if std::env::var_os("UPDATE_GOLDEN").is_some() {
         fs::write(&path, [before, BEGIN, &expected, END, after].concat()).unwrap();
     } else {
-        assert_eq!(found, expected, "renew the table: UPDATE_GOLDEN=1 cargo test --test offline documents");
+        let differs = found.lines().zip(expected.lines()).find(|(found, expected)| found != expected);
+        assert!(found == expected, "renew the table (UPDATE_GOLDEN=1 cargo test --test offline documents): {differs:#?}");
     }
 }
 
