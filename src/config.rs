@@ -48,7 +48,7 @@ const NAMES_SHOWN: usize = 3;
 #[derive(Debug, Error)]
 pub enum ConfigError {
     /// There is no such knob.
-    #[error("{source_name}: there is no parameter '{path}'{hint}; the nearest are: {nearest} (README.md has all)")]
+    #[error("{source_name}: there is no parameter '{path}'{hint}; the nearest are: {nearest} (docs/parameters.md has all)")]
     UnknownKnob {
         /// Where it was set.
         source_name: String,

@@ -1,7 +1,7 @@
 //! Knobs: the parameters of the product, each declared once.
 //!
 //! A module declares its knobs with [`knobs!`](crate::knobs!): name, type, default, range, unit and help on two lines. That one declaration serves
-//! the struct that the code reads, the YAML file, the ROS parameters, `--set` and the table in the README; [`crate::config`] composes
+//! the struct that the code reads, the YAML file, the ROS parameters, `--set` and docs/parameters.md; [`crate::config`] composes
 //! the groups.
 
 use std::fmt::Display;

@@ -1,5 +1,26 @@
 //! Anytime 2D laser scan matching for ROS 1: a pose within the time you allow, and how good it is.
 //!
+//! ```
+//! use anytime_scan_matcher::matching::rejection::RejectionKnobs;
+//! use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
+//! use anytime_scan_matcher::simulation::pairs::Pairs;
+//! use anytime_scan_matcher::simulation::random_world::RandomWorld;
+//!
+//! // Two simulated scans of a room, and a guess of the motion between them that is 15 mm and 0.6 degrees off.
+//! let pair = Pairs::new(RandomWorld::Room, 1081, 1).next().expect("pairs never end");
+//!
+//! let mut matcher = Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default());
+//! matcher.set_reference(&pair.reference);
+//! let mut refinement = matcher.begin(&pair.sensed, pair.first_guess);
+//! while refinement.refine().is_none() {} // stop whenever you like: `pose` is the best one so far
+//!
+//! let error = pair.reference_from_sensed.between(&refinement.pose());
+//! assert!(error.distance() < 0.005 && error.theta.abs() < 0.001);
+//! ```
+//!
+//! More in `examples/`: odometry over a bag, a search and a solver of one's own, a controller with contracts. `ARCHITECTURE.md` says where
+//! to add what, `docs/mathematics.md` has the formulas.
+//!
 //! # How a scan becomes a pose
 //!
 //! ```text
@@ -39,7 +60,7 @@
 //! | [`localization`] | a particle filter: where on a map |
 //! | [`mapping`] | keyframes, a pose graph, loops, and the grid that comes of them |
 //! | [`io`] | bags, CARMEN logs, trajectories, relations, maps |
-//! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, the README's table |
+//! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, docs/parameters.md |
 //! | [`app`] | messages in, estimates out |
 //! | [`replay`], `ros` | a bag, or a live graph, through the application |
 //! | [`profile`] | many replays: delay against error |

@@ -1,4 +1,4 @@
-//! What the work on answers costs where nothing else is said: as learned on the machine that README's figures are from.
+//! What the work on answers costs where nothing else is said: as learned on the machine that the figures in docs are from.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ const SCAN_MATCHER: [(&str, u32, f64); 9] = [
     ("closing", 512, 5.8),
     ("closing", 1024, 6.0),
 ];
-/// Phase, particles or beams cast from all of them, us. 2.3 ms for 4000 particles and 60 beams (README, Localization on a map).
+/// Phase, particles or beams cast from all of them, us. 2.3 ms for 4000 particles and 60 beams (docs/localization.md).
 const PARTICLE_FILTER: [(&str, u32, f64); 3] = [("setup", 64, 0.94), ("iteration", 64, 0.61), ("closing", 64, 0.94)];
 
 /// The costs of an estimator: those of the file, if there is one.

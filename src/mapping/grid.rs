@@ -2,7 +2,7 @@
 //!
 //! A cell counts the rays that end in it and those that pass it. Where more than a quarter of a cell's rays end, and three in all, something
 //! stands; who has walked by is passed by later rays, and gone. Far off rays are sparse: there three in the cell and those around it do, where
-//! it does not stand back behind them. Two things keep walls whole (figures in README.md):
+//! it does not stand back behind them. Two things keep walls whole (figures in docs/maps.md):
 //! - What a ray meets begins where it ends: the cell of a hit is that half a cell farther out.
 //! - A ray that grazes a wall runs along in the cells of the wall's surface. It passes cells only as long as it is a cell away from the
 //!   surface, measured across the surface.

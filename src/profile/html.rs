@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use super::knob::Knob;
 use super::pictures::Picture;
 use super::study::{ERROR_MEANS, Results};
 use super::summary::CaseSummary;
@@ -91,15 +92,28 @@ fn facts(results: &Results, command: &str) -> String {
         ("program", format!("anytime_scan_matcher {}", from.version)),
         ("errors", ERROR_MEANS.into()),
         ("delays", "from a scan's arrival in the process to its answer; each figure is the median over the rounds".into()),
-        (
-            "searches",
-            "those other than jump_table have fewer values unless some were asked for: their answers are the same".into(),
-        ),
+        ("values", values(results)),
     ];
     let row = |(what, value): &(&str, String)| format!("<tr><td>{what}</td><td>{}</td></tr>\n", escaped(value));
     let rows: Vec<String> = facts.iter().map(row).collect();
     let rows = rows.concat();
     format!("<pre>{}</pre>\n<table class=\"facts\">\n{rows}</table>\n", escaped(command))
+}
+
+/// How many values of each knob were tried, and of which variants others.
+fn values(results: &Results) -> String {
+    let of_knob = |knob: Knob| {
+        let counts: Vec<_> = results.variants().iter().map(|&variant| (variant, results.of(variant, knob).len())).collect();
+        let most = counts.iter().map(|(_, count)| *count).max().unwrap_or(0);
+        let fewer = counts.iter().filter(|(_, count)| (1..most).contains(count));
+        let fewer: Vec<String> = fewer.map(|(variant, count)| format!("{variant} {count}")).collect();
+        if fewer.is_empty() {
+            format!("{}: {most}", knob.name())
+        } else {
+            format!("{}: {most} ({})", knob.name(), fewer.join(", "))
+        }
+    };
+    results.knobs().into_iter().map(of_knob).collect::<Vec<_>>().join("; ")
 }
 
 /// A table of text.

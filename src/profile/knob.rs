@@ -30,7 +30,7 @@ struct Description {
     path: &'static str,
     unit: &'static str,
     values: &'static [f64],
-    /// For searches other than the default one: their answers are the same, and a few values show their delays.
+    /// For searches other than the default one: a few values show where they stand.
     few_values: &'static [f64],
 }
 

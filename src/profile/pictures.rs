@@ -3,7 +3,7 @@
 use super::ProfileError;
 use super::knob::Knob;
 use super::run::Run;
-use super::study::Results;
+use super::study::{Results, VariantCost};
 use super::summary::CaseSummary;
 use super::variant::Variant;
 use crate::evaluation::plot::{Colour, Dash, Look, Mark, Panel, Path, Scale, Series, curves, positions, top_view, true_path};
@@ -56,15 +56,20 @@ fn colour(index: usize) -> Colour {
     Colour::CURVES[index % Colour::CURVES.len()]
 }
 
+/// Lines and signs of the searches, in the order of their declaration.
+const SEARCH_LOOKS: [(Dash, Mark); 6] = [
+    (Dash::Dotted, Mark::Triangle),
+    (Dash::Solid, Mark::Disc),
+    (Dash::Dashed, Mark::Square),
+    (Dash::Solid, Mark::Square),
+    (Dash::Dashed, Mark::Triangle),
+    (Dash::Dotted, Mark::Disc),
+];
+
 /// Colour by solver, line and sign by search.
 fn look(variant: Variant) -> Look {
     let Variant::Matcher { search, solver } = variant else { return filter_look() };
-    let (dash, mark) = match search {
-        Correspondence::Naive => (Dash::Dotted, Mark::Triangle),
-        Correspondence::JumpTable => (Dash::Solid, Mark::Disc),
-        Correspondence::KdTree => (Dash::Dashed, Mark::Square),
-        Correspondence::Projective => (Dash::Solid, Mark::Square),
-    };
+    let (dash, mark) = SEARCH_LOOKS[position(Correspondence::ALL, &search) % SEARCH_LOOKS.len()];
     Look { dash, mark, ..Look::line(colour(position(SolverKind::ALL, &solver)), 4) }
 }
 
@@ -72,9 +77,9 @@ fn filter_look() -> Look {
     Look { mark: Mark::Disc, ..Look::line(colour(SolverKind::ALL.len()), 7) }
 }
 
-/// Series without points that name the solvers by their colours.
-fn solver_legend(results: &Results) -> Vec<Series> {
-    let is_there = |solver: &&SolverKind| results.variants().iter().any(|variant| variant.solver() == Some(**solver));
+/// Series without points that name the solvers of curves by their colours.
+fn solver_legend(curves: &[Variant]) -> Vec<Series> {
+    let is_there = |solver: &&SolverKind| curves.iter().any(|variant| variant.solver() == Some(**solver));
     let entry = |solver: &SolverKind| Series {
         name: solver.name().into(),
         look: Look::line(colour(position(SolverKind::ALL, solver)), 14),
@@ -83,9 +88,9 @@ fn solver_legend(results: &Results) -> Vec<Series> {
     SolverKind::ALL.iter().filter(is_there).map(entry).collect()
 }
 
-/// Series without points that name the searches by their lines and signs.
-fn search_legend(results: &Results) -> Vec<Series> {
-    let is_there = |search: &&Correspondence| results.variants().iter().any(|variant| variant.search() == Some(**search));
+/// Series without points that name the searches of curves by their lines and signs.
+fn search_legend(curves: &[Variant]) -> Vec<Series> {
+    let is_there = |search: &&Correspondence| curves.iter().any(|variant| variant.search() == Some(**search));
     let entry = |&search: &Correspondence| Series {
         name: search.name().into(),
         look: Look { colour: Colour::Ink, ..look(Variant::Matcher { search, solver: SolverKind::PointToLine }) },
@@ -100,14 +105,16 @@ fn panel(x: &str, y: &str, scales: (Scale, Scale), height: u32, series: Vec<Seri
 
 fn delay_error(results: &Results, knob: Knob) -> Result<Picture, ProfileError> {
     type Error = fn(&CaseSummary) -> f64;
+    let mut variants = results.variants();
+    variants.retain(|&variant| !results.of(variant, knob).is_empty());
     let curve = |variant: Variant, error: Error| Series {
         name: if variant == Variant::Filter { variant.to_string() } else { String::new() },
         look: look(variant),
         points: results.of(variant, knob).into_iter().map(|case| (case.figures.delay.p50, error(case))).collect(),
     };
     let of_all = |label: &str, error: Error| {
-        let mut series = [solver_legend(results), search_legend(results)].concat();
-        series.extend(results.variants().into_iter().map(|variant| curve(variant, error)));
+        let mut series = [solver_legend(&variants), search_legend(&variants)].concat();
+        series.extend(variants.iter().map(|&variant| curve(variant, error)));
         panel("median delay [us]", label, (Scale::Logarithmic, Scale::Logarithmic), 560, series)
     };
     let panels = [
@@ -123,12 +130,33 @@ fn delay_error(results: &Results, knob: Knob) -> Result<Picture, ProfileError> {
         title: format!("Delay and error by {}", knob.name()),
         caption: format!(
             "A sign for each value of {}: {}. Delay: from a scan's arrival to its answer, the median over all scans and then over the \
-             rounds. Error: root mean square after alignment. Colours are solvers; lines and signs are searches, which are all exact: \
-             but for ties they differ in delay only.",
+             rounds. Error: root mean square after alignment. Colours are solvers; lines and signs are searches.{}",
             knob.name(),
-            values.join(", ")
+            values.join(", "),
+            difference_of_searches(&results.cases, knob)
         ),
         svg: curves(&panels)?,
+    })
+}
+
+/// By how much the errors of searches for the nearest ray differ, of cases alike in all else; empty where there are no such cases.
+fn difference_of_searches(cases: &[CaseSummary], knob: Knob) -> String {
+    let seeks_nearest = |case: &&CaseSummary| case.case.variant.search().is_some_and(|search| search.search().is_some());
+    let nearest: Vec<_> = cases.iter().filter(|case| case.case.knob == knob).filter(seeks_nearest).collect();
+    // Values are compared as they are shown.
+    let asked = |case: &CaseSummary| (case.case.variant.solver(), knob.show(case.case.value));
+    let mut largest: Option<f64> = None;
+    for (i, one) in nearest.iter().enumerate() {
+        for other in nearest[i + 1..].iter().filter(|other| asked(other) == asked(one)) {
+            let difference = (one.figures.position.rmse() - other.figures.position.rmse()).abs();
+            largest = Some(largest.map_or(difference, |largest| largest.max(difference)));
+        }
+    }
+    largest.map_or_else(String::new, |difference| {
+        format!(
+            " With equal solver and value, searches for the nearest ray differ by at most {:.3} mm in position.",
+            1e3 * difference
+        )
     })
 }
 
@@ -291,10 +319,12 @@ fn pose_errors(results: &Results) -> Result<Picture, ProfileError> {
 
 fn delay_by_iterations(results: &Results) -> Result<Picture, ProfileError> {
     let of_search = |&search: &Correspondence| {
-        let costs: Vec<_> = results.costs.iter().filter(|cost| cost.variant.search() == Some(search)).collect();
+        let has_points = |cost: &&VariantCost| cost.variant.search() == Some(search) && !cost.levels.is_empty();
+        let costs: Vec<_> = results.costs.iter().filter(has_points).collect();
         if costs.is_empty() {
             return None;
         }
+        let variants: Vec<Variant> = costs.iter().map(|cost| cost.variant).collect();
         let series = costs.into_iter().flat_map(|cost| {
             let look = look(cost.variant);
             let points = cost.levels.iter().map(|level| (f64::from(level.iterations), 1e-3 * level.delay_us)).collect();
@@ -307,7 +337,7 @@ fn delay_by_iterations(results: &Results) -> Result<Picture, ProfileError> {
                 Series { name: String::new(), look: Look { dash: Dash::None, mark_radius: 11, ..look }, points },
             ]
         });
-        let series = solver_legend(results).into_iter().chain(series).collect();
+        let series = solver_legend(&variants).into_iter().chain(series).collect();
         let label = format!("{} [ms]", search.name());
         Some(panel("iterations", &label, (Scale::FromZero, Scale::FromZero), 320, series))
     };
@@ -333,6 +363,9 @@ fn descents(results: &Results) -> Result<Picture, ProfileError> {
             .filter(|(case, _)| Some(case.case.variant.search()) == search && case.case.variant.solver() == Some(*solver));
         // The run that stopped matches least.
         let run = of_solver.map(|(_, run)| run).max_by_key(|run| run.descents.iter().map(Vec::len).sum::<usize>())?;
+        if run.descents.is_empty() {
+            return None;
+        }
         let in_mm =
             |residuals: &[f64]| -> Vec<(f64, f64)> { (1..).map(f64::from).zip(residuals.iter().map(|r| 1e3 * r)).collect() };
         let thin = Look { opacity: 0.6, ..Look::line(Colour::Grey, 2) };
@@ -373,11 +406,11 @@ fn search_times(results: &Results) -> Result<Picture, ProfileError> {
             points: times.map(|time| (time.beams as f64, time.time_us)).collect(),
         }
     };
-    let series = Correspondence::ALL.iter().map(of_search).collect();
+    let series = Correspondence::ALL.iter().map(of_search).filter(|series| !series.points.is_empty()).collect();
     let panels = [panel("beams", "time of a search [us]", (Scale::Logarithmic, Scale::Logarithmic), 640, series)];
     Ok(Picture {
         name: "search_time".into(),
-        title: "Brute force against jump table and k-d tree".into(),
+        title: "Time of the searches for the nearest ray".into(),
         caption: "One search for all points of a scan in the scan before it, at all beams and at each half of them; medians over pairs \
                   spread over the drive, starting from nothing, the reference prepared before."
             .into(),
@@ -388,11 +421,43 @@ fn search_times(results: &Results) -> Result<Picture, ProfileError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::profile::plan::Case;
+    use crate::profile::summary::{ErrorFigures, Figures};
 
     #[test]
     fn the_median_descent_keeps_matches_that_have_ended() {
         assert_eq!(median_descent(&[vec![5.0, 1.0], vec![6.0, 4.0, 2.0], vec![7.0, 5.0, 3.0]]), [6.0, 4.0, 2.0]);
         assert!(median_descent(&[]).is_empty());
+    }
+
+    fn case(variant: &str, value: f64, rmse: f64) -> CaseSummary {
+        let position = ErrorFigures { mean_square: rmse * rmse, ..ErrorFigures::default() };
+        let case = Case { variant: variant.parse().unwrap(), knob: Knob::Beams, value };
+        CaseSummary { case, rounds: 1, figures: Figures { position, ..Figures::default() } }
+    }
+
+    #[test]
+    fn what_searches_differ_by_is_what_was_measured() {
+        let cases = [
+            case("projective+point_to_line", 90.0, 0.001),
+            case("jump_table+point_to_line", 90.0, 0.010),
+            case("jump_table+point_to_line", 180.0, 0.005),
+            case("naive+point_to_line", 90.0, 0.012),
+            case("naive+point_to_point", 90.0, 0.5),
+        ];
+        assert!(difference_of_searches(&cases, Knob::Beams).contains("at most 2.000 mm"));
+        assert_eq!(difference_of_searches(&cases, Knob::TimeBudget), "");
+        assert_eq!(difference_of_searches(&cases[..3], Knob::Beams), "", "nothing to compare");
+    }
+
+    #[test]
+    fn legends_name_what_there_are_curves_of() {
+        let curves: Vec<Variant> =
+            ["jump_table+linearized", "particle_filter"].iter().map(|name| name.parse().unwrap()).collect();
+        let names = |legend: Vec<Series>| legend.into_iter().map(|series| series.name).collect::<Vec<_>>();
+        assert_eq!(names(solver_legend(&curves)), ["linearized"]);
+        assert_eq!(names(search_legend(&curves)), ["jump_table"]);
+        assert!(solver_legend(&curves[1..]).is_empty() && search_legend(&curves[1..]).is_empty());
     }
 
     #[test]

@@ -97,13 +97,14 @@ mod tests {
     #[test]
     fn every_round_runs_every_case_once_in_an_order_of_its_own() {
         let plan = plan(&[8.0, 1.0, 8.0]).unwrap();
-        assert_eq!((plan.cases.len(), plan.runs()), (30, 90));
+        let cases = 2 * Variant::matchers().len();
+        assert_eq!((plan.cases.len(), plan.runs()), (cases, 3 * cases));
         assert_eq!((plan.cases[0].value, plan.cases[1].value), (1.0, 8.0));
         let (first, second) = (plan.order(0), plan.order(1));
         assert_ne!(first, second);
         for mut order in [first, second] {
             order.sort_unstable();
-            assert_eq!(order, (0..30).collect::<Vec<_>>());
+            assert_eq!(order, (0..cases).collect::<Vec<_>>());
         }
         assert_eq!(plan.order(2), plan.order(2));
     }

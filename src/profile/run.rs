@@ -71,7 +71,7 @@ pub struct Run {
     pub drift: Option<(f64, f64)>,
     /// The mean residual before each iteration, m, of a sample of the matches.
     pub descents: Vec<Vec<f64>>,
-    /// Points of the scans, m, in the odom frame; none unless asked for.
+    /// Points of the scans, m, in the map frame; none unless asked for.
     pub scan_points: Vec<Point>,
     /// Beams of the first scan.
     pub beams: usize,

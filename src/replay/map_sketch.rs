@@ -45,7 +45,7 @@ impl MapSketch {
         }
     }
 
-    /// The points, m, in the odom frame.
+    /// The points, m, in the map frame.
     pub fn points(&self) -> &[Point] {
         &self.points
     }

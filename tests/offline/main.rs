@@ -13,6 +13,7 @@ mod contract;
 mod convert;
 mod correspondences;
 mod covariance;
+mod documents;
 mod drive;
 mod evaluation;
 mod fuzz;
@@ -27,7 +28,6 @@ mod odometry_frames;
 mod plotjuggler;
 mod profile;
 mod raycasting;
-mod readme;
 mod replay;
 #[cfg(target_os = "linux")]
 mod shared_memory;

@@ -29,16 +29,16 @@ struct Limits {
     /// RMSE from a good guess, mm and mdeg; in the featureless corridor the translation is that across it.
     translation: f64,
     rotation: f64,
-    /// Mean normalised estimation error squared: 3 where the covariance is right.
-    nees: (f64, f64),
+    /// Mean normalised estimation error squared, 3 where the covariance is right; `None`: a direction is open, there is no covariance.
+    nees: Option<(f64, f64)>,
     /// Matches lost out of [`PAIRS`] from a guess of no motion, and from one off by up to [`FAR_TRANSLATION`] and [`FAR_ROTATION`].
     lost: (usize, usize),
 }
 
-/// What takes the place of NEES where every pair's covariance is open: there is nothing to be normalized.
-const ALL_OPEN: (f64, f64) = (0.0, 0.0);
+/// Where a direction is open, as many pairs say so at least.
+const OPEN: usize = PAIRS - PAIRS / 100;
 
-const fn limits(world: RandomWorld, beams: u32, rmse: (f64, f64), nees: (f64, f64), lost: (usize, usize)) -> Limits {
+const fn limits(world: RandomWorld, beams: u32, rmse: (f64, f64), nees: Option<(f64, f64)>, lost: (usize, usize)) -> Limits {
     Limits { world, beams, translation: rmse.0, rotation: rmse.1, nees, lost }
 }
 
@@ -46,28 +46,28 @@ use RandomWorld::{Corridor, CurvedRoom, FeaturelessCorridor, Room, RoughRoom};
 
 /// What the product is meant to reach.
 const MUSTS: [Limits; 3] = [
-    limits(Room, 1080, (1.0, 6.0), (2.5, 3.5), (5, 500)),
-    limits(Room, 361, (1.75, 12.0), (2.5, 3.5), (5, 500)),
-    limits(Room, 181, (2.6, 17.0), (2.5, 3.5), (5, 500)),
+    limits(Room, 1080, (1.0, 6.0), Some((2.5, 3.5)), (5, 500)),
+    limits(Room, 361, (1.75, 12.0), Some((2.5, 3.5)), (5, 500)),
+    limits(Room, 181, (2.6, 17.0), Some((2.5, 3.5)), (5, 500)),
 ];
 
-/// What it reaches: a tenth more than measured.
+/// What it reaches: a tenth more than measured of errors, a fifth more of matches lost.
 const REACHED: [Limits; 15] = [
-    limits(Room, 1080, (0.99, 6.0), (2.5, 3.5), (5, 63)),
-    limits(Room, 361, (1.69, 11.6), (2.5, 3.5), (5, 62)),
-    limits(Room, 181, (2.47, 17.0), (2.5, 3.5), (5, 61)),
-    limits(CurvedRoom, 1080, (1.90, 29.4), (2.0, 5.3), (1, 13)),
-    limits(CurvedRoom, 361, (3.57, 57.4), (2.0, 4.3), (1, 13)),
-    limits(CurvedRoom, 181, (5.34, 85.4), (2.0, 3.8), (1, 13)),
-    limits(RoughRoom, 1080, (1.25, 9.5), (2.0, 3.2), (1, 60)),
-    limits(RoughRoom, 361, (2.40, 21.8), (2.0, 3.0), (1, 60)),
-    limits(RoughRoom, 181, (4.02, 39.1), (2.0, 3.4), (1, 58)),
-    limits(Corridor, 1080, (2.24, 5.5), (2.0, 2.7), (9, 49)),
-    limits(Corridor, 361, (4.38, 8.5), (2.0, 2.7), (21, 58)),
-    limits(Corridor, 181, (6.56, 14.9), (2.0, 2.7), (42, 74)),
-    limits(FeaturelessCorridor, 1080, (0.35, 1.6), ALL_OPEN, (1, 1)),
-    limits(FeaturelessCorridor, 361, (0.64, 2.9), (2.0, 25.8), (1, 1)),
-    limits(FeaturelessCorridor, 181, (0.84, 3.9), (2.0, 25.8), (1, 1)),
+    limits(Room, 1080, (0.99, 6.0), Some((2.5, 3.5)), (0, 63)),
+    limits(Room, 361, (1.69, 11.6), Some((2.5, 3.5)), (0, 62)),
+    limits(Room, 181, (2.47, 17.0), Some((2.5, 3.5)), (0, 61)),
+    limits(CurvedRoom, 1080, (1.90, 29.4), Some((2.0, 5.3)), (0, 12)),
+    limits(CurvedRoom, 361, (3.57, 57.4), Some((2.0, 4.3)), (0, 11)),
+    limits(CurvedRoom, 181, (5.34, 85.4), Some((2.0, 3.8)), (0, 12)),
+    limits(RoughRoom, 1080, (1.25, 9.5), Some((2.0, 3.2)), (0, 58)),
+    limits(RoughRoom, 361, (2.40, 21.8), Some((2.0, 3.0)), (0, 60)),
+    limits(RoughRoom, 181, (4.02, 39.1), Some((2.0, 3.4)), (0, 54)),
+    limits(Corridor, 1080, (2.24, 5.5), Some((2.0, 2.7)), (7, 49)),
+    limits(Corridor, 361, (4.38, 8.5), Some((2.0, 2.7)), (19, 58)),
+    limits(Corridor, 181, (6.56, 14.9), Some((2.0, 2.7)), (42, 74)),
+    limits(FeaturelessCorridor, 1080, (0.35, 1.6), None, (0, 0)),
+    limits(FeaturelessCorridor, 361, (0.64, 2.9), None, (0, 0)),
+    limits(FeaturelessCorridor, 181, (0.84, 3.9), None, (0, 0)),
 ];
 
 /// A matcher as users get it.
@@ -190,10 +190,10 @@ fn print(limits: &Limits, a: &Accuracy) {
         a.lost_from_afar
     );
     let must = MUSTS.iter().find(|must| must.world == limits.world && must.beams == limits.beams);
-    if let Some(Limits { translation, rotation, nees, lost, .. }) = must {
+    if let Some(Limits { translation, rotation, nees: Some((low, high)), lost, .. }) = must {
         println!(
             "{:>27} | {translation:>7.3} {:>14} | {rotation:>9.2} {:>6} | {:.1}-{:.1} {:>22} {:>6}",
-            "must", "", "", nees.0, nees.1, "", lost.0
+            "must", "", "", low, high, "", lost.0
         );
     }
 }
@@ -203,8 +203,11 @@ fn check(limits: &Limits, a: &Accuracy) {
     let translation = if limits.world == FeaturelessCorridor { a.across_mm } else { a.translation_mm };
     assert!(translation <= limits.translation, "{name}");
     assert!(a.rotation_mdeg <= limits.rotation, "{name}");
-    let nees = if a.without_covariance == PAIRS { ALL_OPEN.0 } else { a.nees };
-    assert!(nees >= limits.nees.0 && nees <= limits.nees.1, "{name}");
+    match limits.nees {
+        Some((low, high)) => assert!((low..=high).contains(&a.nees), "{name}"),
+        None => assert!(a.without_covariance >= OPEN, "{name}"),
+    }
+    assert_eq!(a.lost_from_guess, 0, "{name}");
     assert!(a.lost_from_zero <= limits.lost.0 && a.lost_from_afar <= limits.lost.1, "{name}");
 }
 
@@ -274,6 +277,8 @@ fn success_from_far_off() {
             println!("{distance:>7.1} m {row:>6?}");
         }
         let well_within = table.iter().flat_map(|row| &row[..3]);
-        assert!(world == Corridor || well_within.min() >= Some(&95), "{} of {beams} beams: {table:?}", world.name());
+        // In a corridor few beams tell how far one has come along it: 91 % measured.
+        let least = if world == Corridor { 89 } else { 99 };
+        assert!(well_within.min() >= Some(&least), "{} of {beams} beams: {table:?}", world.name());
     }
 }

@@ -53,7 +53,7 @@ pub(crate) struct Arguments {
     /// Other programs take the processor for 0.4 s in every 1.2 s: all work then takes so many times as long (`x20`); several, separated by commas
     #[arg(long, default_value = "1", value_delimiter = ',', value_parser = factor)]
     bursts: Vec<f64>,
-    /// What answers cost on the machine: a file of `contract.cost_file` [default: as on the machine of README's figures]
+    /// What answers cost on the machine: a file of `contract.cost_file` [default: as on the machine of docs/figures.md]
     #[arg(long, value_name = "FILE.yaml")]
     costs: Option<PathBuf>,
     /// Drives of each case, with seeds from 1

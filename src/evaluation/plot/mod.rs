@@ -1,4 +1,4 @@
-//! Trajectories and curves as SVG pictures, fit for a README.
+//! Trajectories and curves as SVG pictures.
 
 mod axis;
 mod curves;

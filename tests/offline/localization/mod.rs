@@ -151,7 +151,8 @@ fn at_truth(localizer: &mut Localizer, pose: Pose2) {
     localizer.start_at(&(pose * Pose2::new(0.1, -0.1, 0.05)), None);
 }
 
-fn tracks(map: &OccupancyGrid, name: &str, seconds: f64, metres: f64, threads: u32) {
+/// `most`: errors, m and deg.
+fn tracks(map: &OccupancyGrid, name: &str, (seconds, metres): (f64, f64), threads: u32, most: (f64, f64)) {
     let mut config = Config::default();
     config.localization.threads = threads;
     let mut outcome = run(map, &[Drive { seed: 3, seconds, rate: 40.0 }], &config, at_truth);
@@ -162,12 +163,12 @@ fn tracks(map: &OccupancyGrid, name: &str, seconds: f64, metres: f64, threads: u
         "{name}: {:.0} m, position {position:.4} m, heading {heading:.3} deg, effective {effective:.0}; update p50, p99, max {times:?}",
         outcome.metres
     );
-    assert!(outcome.metres >= metres && position < 0.05 && heading < 0.5);
+    assert!(outcome.metres >= metres && position < most.0 && heading < most.1);
 }
 
 #[test]
 fn a_drive_is_tracked() {
-    tracks(&corridor(), "made-up corridor", 25.0, 40.0, 0);
+    tracks(&corridor(), "made-up corridor", (25.0, 40.0), 0, (0.0152, 0.21));
 }
 
 #[test]
@@ -182,9 +183,10 @@ fn the_map_may_be_turned_and_its_cells_of_any_size() {
 #[test]
 #[ignore = "half a minute for each map"]
 fn long_drives_on_real_maps_are_tracked() {
-    for name in ["levine", "columbia", "skirk"] {
+    // A fifth more than docs/localization.md states.
+    for (name, most) in [("levine", (0.0192, 0.228)), ("columbia", (0.0132, 0.3)), ("skirk", (0.0096, 0.204))] {
         let Some(map) = map(name) else { return };
-        tracks(&map, name, 85.0, 200.0, 1);
+        tracks(&map, name, (85.0, 200.0), 1, most);
     }
 }
 
