@@ -135,6 +135,7 @@ mod tests {
     use super::*;
 
     /// What is found of a robot whose odometry is stamped `lag` earlier than its scans, when it winds its way for a minute.
+    #[allow(clippy::cast_sign_loss)] // a count
     fn found(lag: f64, scan_rate: f64) -> f64 {
         let pose = |seconds: f64| Pose2::new(seconds, 0.0, 0.8 * (0.9 * seconds).sin());
         let mut odometry = WheelOdometry::default();

@@ -105,7 +105,7 @@ impl Registration {
     }
 }
 
-/// The sources of motion that the last matches contradict: they predict nothing until a match agrees with them.
+/// The sources of motion that the last matches contradict: next to nothing is made of what they say until some agree.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Disbelieved {
     /// What says where the base is: wheel odometry, another node's transforms, a velocity.
