@@ -239,6 +239,11 @@ impl App {
         self.profile.as_ref()?.expected_error(self.contract.time_budget.unwrap_or(Duration::MAX))
     }
 
+    /// What work costs, as learned so far.
+    pub fn costs(&self) -> &CostModel {
+        &self.costs
+    }
+
     /// Writes the learned costs to their file, if one is wanted.
     pub fn store_costs(&self) -> Result<(), CostFileError> {
         match &self.config.contract.cost_file {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::ProfileError;
 use super::variant::Variant;
 use crate::anytime::clock::Clock;
+use crate::anytime::cost_model::CostModel;
 use crate::app::localizer::Localizer;
 use crate::app::{App, Estimate};
 use crate::config::Config;
@@ -75,6 +76,8 @@ pub struct Run {
     pub scan_points: Vec<Point>,
     /// Beams of the first scan.
     pub beams: usize,
+    /// What work was learned to cost, at the end; the particle filter's is not told.
+    pub costs: Option<CostModel>,
 }
 
 /// Runs the bag through a variant. `keep_points`: collect points of the scans for a map.
@@ -173,6 +176,7 @@ fn match_run(
         Ok(())
     })?;
     run.scan_points = sketch.points().to_vec();
+    run.costs = Some(app.costs().clone());
     Ok(run)
 }
 
