@@ -1,10 +1,9 @@
 //! Many drives: every policy at every speed and load, with as many seeds as asked for.
 
-use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path as FilePath, PathBuf};
 
-use comfy_table::{Table, presets};
+use comfy_table::presets;
 use serde_json::{Value, json};
 
 use super::closed_loop::{Setup, drive};
@@ -16,7 +15,7 @@ use super::replanning::Replanning;
 use super::{DriveError, EstimatorKind, costs, page, pictures, profiling};
 use crate::config::Config;
 use crate::control::follower::FollowerKnobs;
-use crate::control::policy::{Mode, Policy};
+use crate::control::policy::{Policy, Table};
 use crate::output;
 use crate::parallel;
 use crate::simulation::lidar::LidarKnobs;
@@ -122,8 +121,8 @@ impl Study<'_> {
     }
 
     fn drive_case(&self, mut case: Case, on_run: &(impl Fn() + Sync)) -> Result<Outcome, DriveError> {
-        if case.policy == Policy::Table(Vec::new()) {
-            case.policy = Policy::Table(self.modes(&case)?);
+        if case.policy == Policy::Table(Table::default()) {
+            case.policy = Policy::Table(profiling::table(&self.setup(&case, 1)?)?);
         }
         let run = |seed: u32| {
             let run = self.setup(&case, seed).and_then(|setup| drive(&setup));
@@ -137,10 +136,6 @@ impl Study<'_> {
             run.forget_details(index == 0 || index == shown);
         }
         Ok(Outcome { case, figures, runs })
-    }
-
-    fn modes(&self, case: &Case) -> Result<Vec<Mode>, DriveError> {
-        profiling::modes(&self.setup(case, 1)?)
     }
 
     /// What was driven, in words.
@@ -211,9 +206,9 @@ impl Study<'_> {
             value["speed_m_s"] = (*speed).into();
             value["slowdown"] = load.slowdown.into();
             value["bursts"] = load.bursts.into();
-            if let Policy::Table(modes) = policy {
+            if let Policy::Table(table) = policy {
                 value["modes"] =
-                    modes.iter().map(|mode| json!({"delay_s": mode.delay.as_secs_f64(), "error_m": mode.error})).collect();
+                    table.modes.iter().map(|mode| json!({"delay_s": mode.delay.as_secs_f64(), "error_m": mode.error})).collect();
             }
             value["drives"] = endings(&outcome.runs);
             value
@@ -272,31 +267,32 @@ pub(super) fn row(outcome: &Outcome) -> Vec<String> {
 
 /// For people.
 pub fn to_text(outcomes: &[Outcome]) -> String {
-    let mut table = Table::new();
+    let mut table = comfy_table::Table::new();
     table.load_style(presets::NOTHING);
     table.set_header(HEADER);
     for outcome in outcomes {
         table.add_row(row(outcome));
     }
-    let mut text = table.to_string();
-    for outcome in outcomes {
-        let figures = &outcome.figures;
+    remarks(outcomes).iter().fold(table.to_string(), |text, remark| text + "\n" + remark)
+}
+
+/// What the table does not say.
+pub(super) fn remarks(outcomes: &[Outcome]) -> Vec<String> {
+    let mut remarks = Vec::new();
+    for Outcome { case, figures, .. } in outcomes {
         if let Some(reason) = &figures.first_stop {
-            let _ = write!(
-                text,
-                "\n{}: braked or stood for {:.1} % of the commands, first because {reason}",
-                outcome.case,
-                100.0 * figures.stopped
-            );
+            let share = 100.0 * figures.stopped;
+            remarks.push(format!("{case}: braked or stood for {share:.1} % of the commands, first because {reason}"));
+        }
+        if let Some(outside) = &figures.first_outside {
+            let share = 100.0 * figures.outside;
+            remarks
+                .push(format!("{case}: warning: {share:.1} % of the answers are outside of what the profile is of: {outside}"));
         }
         if figures.step_aside > 0.0 {
-            let _ = write!(
-                text,
-                "\n{}: the followed line stepped aside by {:.1} cm at most",
-                outcome.case,
-                100.0 * figures.step_aside
-            );
+            let centimetres = 100.0 * figures.step_aside;
+            remarks.push(format!("{case}: the followed line stepped aside by {centimetres:.1} cm at most"));
         }
     }
-    text
+    remarks
 }

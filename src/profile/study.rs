@@ -19,6 +19,7 @@ use super::summary::{CaseSummary, Figures};
 use super::variant::Variant;
 use super::{ProfileError, knob};
 use crate::anytime::clock::Clock;
+use crate::anytime::mode::Ranges;
 use crate::config::Config;
 use crate::evaluation::trajectory::Trajectory;
 use crate::io::profile_file::{Budget, ExpectedError, Profile, Provenance, VariantProfile};
@@ -226,10 +227,18 @@ impl Results {
     pub fn profile(&self) -> Profile {
         let variants = self.costs.iter().filter_map(|cost| {
             let knobs = [Knob::TimeBudget, Knob::MaxIterations, Knob::Beams, Knob::KeyframeDistance, Knob::Particles];
-            let cases = knobs.iter().map(|&knob| self.of(cost.variant, knob)).find(|cases| !cases.is_empty())?;
-            Some((cost.variant.to_string(), expectations(&cases, cost.model)?))
+            let knob = *knobs.iter().find(|&&knob| !self.of(cost.variant, knob).is_empty())?;
+            let expected = expectations(&self.of(cost.variant, knob), cost.model, self.conditions(cost.variant, knob))?;
+            Some((cost.variant.to_string(), expected))
         });
         Profile { provenance: self.provenance.clone(), variants: variants.collect() }
+    }
+
+    /// The conditions of the answers of a variant while a knob was turned.
+    fn conditions(&self, variant: Variant, knob: Knob) -> Ranges {
+        let is_wanted = |summary: &CaseSummary| summary.case.variant == variant && summary.case.knob == knob;
+        let runs = self.cases.iter().zip(&self.first_runs).filter(|(summary, _)| is_wanted(summary)).map(|(_, run)| run);
+        Ranges::of(runs.flat_map(|run| run.scans.iter().filter_map(|scan| scan.conditions)))
     }
 }
 
@@ -259,7 +268,7 @@ fn costs(cases: &[CaseSummary], answers: &[Vec<(u32, u64, f64)>]) -> Vec<Variant
 }
 
 /// What to expect of a variant, by the cases that turn one knob; `None` without any.
-fn expectations(cases: &[&CaseSummary], cost: Option<IterationCost>) -> Option<VariantProfile> {
+fn expectations(cases: &[&CaseSummary], cost: Option<IterationCost>, conditions: Ranges) -> Option<VariantProfile> {
     let knob = cases.first()?.case.knob;
     let budget = |summary: &&CaseSummary| {
         let (position, orientation) = (summary.figures.position, summary.figures.orientation);
@@ -276,5 +285,5 @@ fn expectations(cases: &[&CaseSummary], cost: Option<IterationCost>) -> Option<V
         Budget { delta_s, error }
     };
     let cost = cost.map(|cost| (cost.setup_us, cost.per_ray_us));
-    Some(VariantProfile::new(knob.name(), cost, cases.iter().map(budget).collect()))
+    Some(VariantProfile::new(knob.name(), cost, conditions, cases.iter().map(budget).collect()))
 }

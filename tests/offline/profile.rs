@@ -159,6 +159,21 @@ fn a_drive_is_simulated_and_its_profile_tells_what_to_expect() {
     assert!(means.windows(2).all(|pair| pair[1] <= pair[0]) && means.iter().all(|mean| *mean > 0.0), "{means:?}");
     assert!(profile.variant("jump_table+point_to_lime").unwrap_err().to_string().contains("did you mean"));
     assert_eq!(Profile::from_yaml(&profile.to_yaml().unwrap()).unwrap(), profile, "it reads as it was written");
+    let [least, greatest] = variant.conditions.rays.unwrap();
+    assert!(80.0 < least && greatest <= 90.0 && variant.conditions.agreement.unwrap()[0] > 0.5, "{:?}", variant.conditions);
+    assert!(
+        Profile::from_yaml(&profile.to_yaml().unwrap().replace("conditions", "circumstances")).is_ok(),
+        "of earlier programs"
+    );
+    // Of its own drive it is a profile, of one by another laser elsewhere it is none.
+    let file = format!("contract.profile={}", out.join("profile.yaml").display());
+    let replayed = |bag: &str| {
+        let jump_table = ["--set", "matching.correspondence=jump_table", "--set", &file, "--time-budget", "5ms"];
+        success(&[&["replay", bag], &jump_table[..]].concat())
+    };
+    assert!(!replayed(out.join("drive.bag").to_str().unwrap()).contains("another kind"));
+    let elsewhere = replayed("bags/demo.bag");
+    assert!(elsewhere.contains("scans are of another kind") && elsewhere.contains("in the profile"), "{elsewhere}");
 }
 
 /// A room, 12 m x 9 m with a block in it, as a map of `map_server`.
