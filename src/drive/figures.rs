@@ -84,7 +84,9 @@ pub struct Run {
     pub outside: u64,
     /// The first.
     pub first_outside: Option<Outside>,
+    poses: u64,
     squared_pose_errors: f64,
+    worst_pose_error: f64,
 }
 
 impl Run {
@@ -110,7 +112,9 @@ impl Run {
             conditions: Vec::new(),
             outside: 0,
             first_outside: None,
+            poses: 0,
             squared_pose_errors: 0.0,
+            worst_pose_error: 0.0,
         }
     }
 
@@ -134,7 +138,7 @@ impl Run {
 
     /// RMS distance of the poses from the truth, m.
     pub(super) fn pose_error(&self) -> f64 {
-        (self.squared_pose_errors / self.answers.max(1) as f64).sqrt()
+        (self.squared_pose_errors / self.poses.max(1) as f64).sqrt()
     }
 
     /// The conditions of nearly all answers.
@@ -152,7 +156,13 @@ impl Run {
     }
 
     pub(super) fn add_answer(&mut self, answer: &Answer, times: Times, truth: &Pose2) {
-        self.squared_pose_errors += truth.between(&answer.reading.pose).distance().powi(2);
+        // A filter that knows nothing gives no pose.
+        if answer.reading.deviation.is_finite() {
+            self.poses += 1;
+            let error = truth.between(&answer.reading.pose).distance();
+            self.squared_pose_errors += error.powi(2);
+            self.worst_pose_error = self.worst_pose_error.max(error);
+        }
         self.answers += 1;
         self.late += u64::from(answer.is_late);
         self.overdue += u64::from(answer.ready > times.next);
@@ -191,6 +201,8 @@ pub struct Figures {
     pub laps: f64,
     /// True distance from the path, m: mean, RMS, 99.9 % and most.
     pub lateral: [f64; 4],
+    /// Distance of the poses from the truth at their stamps, m: RMS and most. The rest of the lateral error is the follower's, and of delays.
+    pub pose: [f64; 2],
     /// Mean time of a lap from the second on, else of the first, s.
     pub lap_time: f64,
     /// Part of the answers that were later than their contract.
@@ -232,6 +244,7 @@ impl Figures {
             hits: runs.iter().filter(|run| run.ending == Ending::Hit).count(),
             laps,
             lateral: lateral(runs.iter().flat_map(|run| run.errors.iter().copied()).collect()),
+            pose: pose_errors(runs),
             lap_time: lap_time(runs),
             late: sum(|run| run.late) / answers,
             overdue: sum(|run| run.overdue) / answers,
@@ -257,6 +270,7 @@ impl Figures {
             "lateral_error_m": {
                 "mean": self.lateral[0], "rms": self.lateral[1], "p99_9": self.lateral[2], "max": self.lateral[3],
             },
+            "pose_error_m": {"rms": self.pose[0], "max": self.pose[1]},
             "lap_time_s": self.lap_time,
             "late_answers": self.late,
             "answers_after_next_scan": self.overdue,
@@ -292,6 +306,12 @@ fn lateral(errors: Vec<f64>) -> [f64; 4] {
 
 fn mean(values: Vec<f64>) -> f64 {
     Statistics::of(values).map_or(0.0, |statistics| statistics.mean)
+}
+
+fn pose_errors(runs: &[Run]) -> [f64; 2] {
+    let squares: f64 = runs.iter().map(|run| run.squared_pose_errors).sum();
+    let poses = runs.iter().map(|run| run.poses).sum::<u64>().max(1);
+    [(squares / poses as f64).sqrt(), runs.iter().map(|run| run.worst_pose_error).fold(0.0, f64::max)]
 }
 
 fn lap_time(runs: &[Run]) -> f64 {

@@ -9,7 +9,7 @@ use crate::profile::html::{STYLE, escaped, table};
 pub(super) const MOST_PATHS: usize = 12;
 
 const MEANING: &str = "Errors are distances of the true rear axle from the path. A drive ends at the first touch of a wall, or when the car \
-    has not come on for 10 s. Late: answers later than their contract; with no contract, than the next scan. Age: of the pose when the \
+    has not come on for 10 s. Pose: RMS distance of the poses from the truth at their stamps. Late: answers later than their contract; with no contract, than the next scan. Age: of the pose when the \
     command acts, mean. cpu/lap: processor time of the estimator, other programs' apart.";
 
 /// The page, with pictures and their titles.

@@ -67,8 +67,10 @@ pub struct Study<'a> {
     pub replanning: Option<Replanning>,
     /// Laps of a drive.
     pub laps: u32,
-    /// Drives of a case, with seeds from 1.
+    /// Drives of a case.
     pub seeds: u32,
+    /// The seed of the first of them; each of the others has the next one.
+    pub first_seed: u32,
     /// All policies, all speeds, all loads.
     pub policies: Vec<Policy>,
     /// m/s.
@@ -122,14 +124,16 @@ impl Study<'_> {
 
     fn drive_case(&self, mut case: Case, on_run: &(impl Fn() + Sync)) -> Result<Outcome, DriveError> {
         if case.policy == Policy::Table(Table::default()) {
-            case.policy = Policy::Table(profiling::table(&self.setup(&case, 1)?)?);
+            case.policy = Policy::Table(profiling::table(&self.setup(&case, self.first_seed)?)?);
         }
         let run = |seed: u32| {
             let run = self.setup(&case, seed).and_then(|setup| drive(&setup));
             on_run();
             run
         };
-        let mut runs: Vec<Run> = parallel::map(1..=self.seeds, run).into_iter().collect::<Result<_, _>>()?;
+        let mut runs: Vec<Run> = parallel::map((0..self.seeds).map(|drive| self.first_seed.wrapping_add(drive)), run)
+            .into_iter()
+            .collect::<Result<_, _>>()?;
         let figures = Figures::of(&runs);
         let shown = runs.iter().position(|run| !run.is_finished()).unwrap_or(0);
         for (index, run) in runs.iter_mut().enumerate() {
@@ -148,7 +152,7 @@ impl Study<'_> {
             ),
             ("estimator", self.estimator.name().into()),
             ("law", self.follower.law.name().into()),
-            ("laps, seeds", format!("{} laps, seeds 1 to {}", self.laps, self.seeds)),
+            ("laps, seeds", format!("{} laps, {} seeds from {} on", self.laps, self.seeds, self.first_seed)),
             ("laser", format!("{} beams at {} Hz", self.lidar.beams, self.lidar.rate)),
             (
                 "flaws of the car, standard deviations",
@@ -227,7 +231,7 @@ impl std::fmt::Display for Case {
 }
 
 /// The columns of the table.
-pub(super) const HEADER: [&str; 14] = [
+pub(super) const HEADER: [&str; 15] = [
     "policy",
     "speed",
     "load",
@@ -238,6 +242,7 @@ pub(super) const HEADER: [&str; 14] = [
     "RMS [cm]",
     "p99.9 [cm]",
     "max [cm]",
+    "pose [cm]",
     "lap [s]",
     "late [%]",
     "age [ms]",
@@ -258,6 +263,7 @@ pub(super) fn row(outcome: &Outcome) -> Vec<String> {
         format!("{:.1}", figures.laps),
     ];
     row.extend(centimetres);
+    row.push(format!("{:.1}", 100.0 * figures.pose[0]));
     row.push(format!("{:.2}", figures.lap_time));
     row.push(format!("{:.2}", 100.0 * figures.late.max(if case.policy == Policy::Completion { figures.overdue } else { 0.0 })));
     row.push(format!("{:.1}", 1e3 * figures.age[0]));

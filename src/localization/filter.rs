@@ -97,6 +97,8 @@ pub struct ParticleFilter {
     /// Motion and time since the scan before, s.
     motion: Pose2,
     seconds: f64,
+    /// Time of the motions since beams were taken in last, s.
+    unseen: f64,
     /// What is known of the odometry's steady errors, and where the cloud was believed to be after the last scan.
     calibration: Calibration,
     last: Option<Pose2>,
@@ -128,6 +130,7 @@ impl ParticleFilter {
             affordable: usize::MAX,
             motion: Pose2::IDENTITY,
             seconds: 0.0,
+            unseen: 0.0,
             calibration: Calibration::default(),
             last: None,
             agreement: Agreement::expecting(sensor.hit),
@@ -207,7 +210,7 @@ impl ParticleFilter {
         if let Some(search) = &mut self.search {
             search.moved(&motion, seconds);
         }
-        let motion = UncertainMotion::new(&self.model.motion, &motion, seconds);
+        let motion = UncertainMotion::new(&self.model.motion, &motion, seconds).after(self.unseen);
         self.model.move_all(&mut self.particles, &motion, self.streams.next());
     }
 
@@ -257,6 +260,7 @@ impl ParticleFilter {
     /// Chooses the particles that live on, and judges what they believe.
     fn follow(&mut self, belief: &Belief) {
         std::mem::swap(&mut self.particles.log_weight, &mut self.posterior);
+        self.unseen = if belief.beams > 0 { 0.0 } else { self.unseen + self.seconds };
         if belief.beams > 0 {
             self.agreement = self.agreement_with(belief.explained);
         }

@@ -61,7 +61,7 @@ fn answers_come_as_late_as_their_work_takes() {
 
 #[test]
 fn late_paths_leave_no_step_and_no_stop() {
-    let arguments = ["--estimator", "truth", "--laps", "1", "--speed", "4", "--replan", "5", "--path-delay", "2s"];
+    let arguments = ["--estimator", "truth", "--laps", "1", "--speed", "7", "--replan", "5", "--path-delay", "2s"];
     let case = &cases(&arguments)[0];
     assert_eq!((number(case, &["finished"]), number(case, &["stopped"])), (1.0, 0.0), "{case}");
     assert!(number(case, &["path_step_m"]) < 0.05, "{case}");
