@@ -97,8 +97,6 @@ pub struct ParticleFilter {
     /// Motion and time since the scan before, s.
     motion: Pose2,
     seconds: f64,
-    /// Time of the motions since beams were taken in last, s.
-    unseen: f64,
     /// What is known of the odometry's steady errors, and where the cloud was believed to be after the last scan.
     calibration: Calibration,
     last: Option<Pose2>,
@@ -130,7 +128,6 @@ impl ParticleFilter {
             affordable: usize::MAX,
             motion: Pose2::IDENTITY,
             seconds: 0.0,
-            unseen: 0.0,
             calibration: Calibration::default(),
             last: None,
             agreement: Agreement::expecting(sensor.hit),
@@ -210,7 +207,7 @@ impl ParticleFilter {
         if let Some(search) = &mut self.search {
             search.moved(&motion, seconds);
         }
-        let motion = UncertainMotion::new(&self.model.motion, &motion, seconds).after(self.unseen);
+        let motion = UncertainMotion::new(&self.model.motion, &motion, seconds);
         self.model.move_all(&mut self.particles, &motion, self.streams.next());
     }
 
@@ -260,7 +257,6 @@ impl ParticleFilter {
     /// Chooses the particles that live on, and judges what they believe.
     fn follow(&mut self, belief: &Belief) {
         std::mem::swap(&mut self.particles.log_weight, &mut self.posterior);
-        self.unseen = if belief.beams > 0 { 0.0 } else { self.unseen + self.seconds };
         if belief.beams > 0 {
             self.agreement = self.agreement_with(belief.explained);
         }

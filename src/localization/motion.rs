@@ -62,17 +62,6 @@ impl UncertainMotion {
         }
     }
 
-    /// The same after `unseen` seconds in which no scan told how the cloud errs. An error of the speed lasts from one motion to the next:
-    /// after a time `t` the way is off by the error times `t`, and so its variance grows from motion to motion, where that of errors
-    /// which are drawn anew would add up to less.
-    pub(super) fn after(mut self, unseen: f64) -> Self {
-        if let Self::Car { speed_error, seconds, .. } = &mut self {
-            // ((u + s)^2 - u^2) / s^2
-            *speed_error *= (1.0 + 2.0 * unseen / *seconds).sqrt();
-        }
-        self
-    }
-
     fn car(knobs: &MotionKnobs, motion: &Pose2, seconds: f64) -> Self {
         let twist = Twist2::of_motion(motion, seconds);
         let moving = twist.vx.abs() > STANDING;
