@@ -163,7 +163,7 @@ mod tests {
         assert!(watched(conditions(0.85, 1000.0, f64::INFINITY), 100).unwrap().starts_with("condition number"));
         assert_eq!(watched(conditions(f64::NAN, f64::NAN, f64::NAN), 100), None, "who tells nothing is nowhere");
         let mut watch = Watch::new(hall());
-        let mixed = (0..200).map(|i| conditions(if i % 3 == 0 { 0.1 } else { 0.85 }, 1000.0, 9.0));
-        assert!(mixed.filter_map(|answer| watch.add(&answer)).next().is_none());
+        let mut mixed = (0..200).map(|i| conditions(if i % 3 == 0 { 0.1 } else { 0.85 }, 1000.0, 9.0));
+        assert!(!mixed.any(|answer| watch.add(&answer).is_some()));
     }
 }

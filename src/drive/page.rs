@@ -23,7 +23,7 @@ pub(super) fn report(study: &Study, outcomes: &[Outcome], pictures: &[(String, S
         escaped(&study.course.name),
         escaped(&study.command),
         table(&HEADER, outcomes.iter().map(row)),
-        remarks(outcomes).iter().map(|remark| format!("<p>{}</p>\n", escaped(remark))).collect::<String>(),
+        remarks(outcomes).iter().fold(String::new(), |text, remark| text + "<p>" + &escaped(remark) + "</p>\n"),
     );
     for (title, svg) in pictures {
         let _ = write!(page, "<h2>{}</h2>\n<figure>\n{svg}</figure>\n", escaped(title));

@@ -1,5 +1,7 @@
 //! The look-up table and what it is worth beside contracts, as tables for people and for machines.
 
+use std::fmt::Write as _;
+
 use serde_json::{Value, json};
 
 use super::comparison::{Comparison, Kept};
@@ -60,7 +62,8 @@ impl Results {
         let look_up = TextTable::new(&LOOK_UP, look_up_rows(self), 1).render(width);
         let mut text = format!("{LOOK_UP_MEANS}:\n{look_up}");
         if !self.comparisons.is_empty() {
-            text += &format!("\n{COMPARISON_MEANS}:\n{}", TextTable::new(&COMPARISON, comparison_rows(self), 2).render(width));
+            let comparison = TextTable::new(&COMPARISON, comparison_rows(self), 2).render(width);
+            let _ = write!(text, "\n{COMPARISON_MEANS}:\n{comparison}");
         }
         text
     }

@@ -20,7 +20,7 @@ pub struct BySpeed {
 
 pub(super) fn terms(rule: &BySpeed, situation: &Situation) -> Terms {
     let share = (situation.speed.abs() / rule.speed_fast).min(1.0);
-    let time_budget = rule.slow - (rule.slow - rule.fast).mul_f64(share);
+    let time_budget = rule.slow.saturating_sub(rule.slow.saturating_sub(rule.fast).mul_f64(share));
     Terms { contract: Contract { time_budget: Some(time_budget), ..Contract::default() }, max_iterations: None }
 }
 

@@ -20,7 +20,8 @@ pub(super) fn terms(table: &Table, situation: &Situation) -> Terms {
     let bound = ControllerBound::of(situation);
     let in_time = || table.modes.iter().filter(|mode| mode.delay <= bound.delay);
     let cheapest = in_time().find(|mode| mode.error <= bound.error).filter(|_| situation.is_familiar);
-    let best = || if situation.is_familiar { in_time().min_by(|a, b| a.error.total_cmp(&b.error)) } else { in_time().last() };
+    let best =
+        || if situation.is_familiar { in_time().min_by(|a, b| a.error.total_cmp(&b.error)) } else { in_time().next_back() };
     let time_budget = cheapest.or_else(best).or(table.modes.first()).map(|mode| mode.delay);
     Terms { contract: Contract { time_budget, ..Contract::default() }, max_iterations: None }
 }
