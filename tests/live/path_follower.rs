@@ -180,7 +180,7 @@ fn paths_two_seconds_late_and_replanned_leave_no_stop_and_no_step() {
     let limits = SpeedLimits { top: 7.0, lateral_acceleration: 4.0, braking: 3.0 };
     plan_late(&graph, &course, &limits, Duration::from_secs(20));
     let drive = Drive::read(&graph.finish_recording(recorder));
-    let begin = drive.reports.iter().position(|report| report.driving).expect("it drives");
+    let begin = drive.reports.iter().position(|report| report.driving).unwrap();
     // It goes on while the last path lasts, and longer than it was sent paths.
     let reports = &drive.reports[begin..begin + 800];
     // A machine that is busy starves the simulator: what old poses lead to is not of the paths' making.
@@ -219,7 +219,7 @@ fn it_goes_on_after_it_was_killed_and_after_poses_had_stopped() {
     assert!(drive.reports.iter().all(|report| report.driving), "{}", follower.log());
     // No poses, and no scans.
     simulator.signal("STOP");
-    follower.expect_log("stands: the pose is");
+    follower.expect_log("brakes: the pose is");
     simulator.signal("CONT");
     assert!(within(Duration::from_secs(20), || follower.log().contains("drives")), "{}", follower.log());
     let drive = record(&graph, Duration::from_secs(3));
