@@ -4,6 +4,7 @@ pub mod clock;
 pub mod contract;
 pub mod cost_model;
 pub mod interrupt;
+pub mod mode;
 mod preemption;
 mod refinement;
 pub mod timer;

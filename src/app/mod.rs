@@ -19,6 +19,7 @@ use crate::anytime::clock::Clock;
 use crate::anytime::contract::{BOUND_SIGMAS, Contract, ContractError};
 use crate::anytime::cost_model::{CostModel, Phase};
 use crate::anytime::interrupt::{Interrupt, Never};
+use crate::anytime::mode::{Conditions, Outside, Watch};
 use crate::anytime::{Driver, ErrorEstimate, Task};
 use crate::cloud;
 use crate::config::{Config, FrameKnobs};
@@ -120,6 +121,8 @@ pub struct Estimate {
     pub contract: Contract,
     /// The error that the profile leads to expect of such a time budget, if there is a profile and it knows.
     pub expected_error: Option<ExpectedError>,
+    /// Why that is not to be relied on: the last scans are of another kind than the profile's. Known once it is concluded.
+    pub outside_profile: Option<Outside>,
     /// Time from the scan's arrival to this answer; once it is concluded, to its pose handed over.
     pub elapsed: Duration,
     /// Reading of the clock when the scan arrived.
@@ -137,6 +140,16 @@ impl Estimate {
     /// How much later than asked for the answer is.
     pub fn overrun(&self) -> Duration {
         self.contract.overrun(self.elapsed)
+    }
+
+    /// What the match found; `None` without one.
+    pub fn conditions(&self) -> Option<Conditions> {
+        let report = self.registration.refinement.as_ref()?;
+        Some(Conditions {
+            agreement: f64::from(report.inliers) / f64::from(report.rays_used.max(1)),
+            rays: f64::from(report.rays),
+            condition_number: report.condition_number,
+        })
     }
 
     /// By how much the estimated error, three standard deviations of it, misses the bounds; zero where it keeps them, or there is none.
@@ -181,6 +194,8 @@ pub struct App {
     interrupt: Arc<dyn Interrupt>,
     costs: CostModel,
     profile: Option<VariantProfile>,
+    /// Whether scans are of the profile's kind.
+    watch: Option<Watch>,
     contract: Contract,
     odometry: LaserOdometry,
     converter: ScanConverter,
@@ -206,6 +221,7 @@ impl App {
             interrupt: Arc::new(Never),
             costs: CostModel::new(config.contract.confidence),
             profile: None,
+            watch: None,
             contract: Contract::try_from(&config.contract)?,
             odometry: LaserOdometry::new(&config.odometry, &config.matching, &config.rejection),
             converter: ScanConverter::new(&config.scan),
@@ -229,7 +245,9 @@ impl App {
         if let Some(path) = &self.config.contract.profile {
             let matching = &self.config.matching;
             let variant = format!("{}+{}", matching.correspondence.name(), matching.solver.name());
-            self.profile = Some(Profile::load(Path::new(path))?.variant(&variant)?.clone());
+            let profile = Profile::load(Path::new(path))?.variant(&variant)?.clone();
+            self.watch = Some(Watch::new(profile.conditions));
+            self.profile = Some(profile);
         }
         Ok(())
     }
@@ -237,6 +255,11 @@ impl App {
     /// The error that the profile leads to expect under the contract in force.
     pub fn expected_error(&self) -> Option<ExpectedError> {
         self.profile.as_ref()?.expected_error(self.contract.time_budget.unwrap_or(Duration::MAX))
+    }
+
+    /// What work costs, as learned so far.
+    pub fn costs(&self) -> &CostModel {
+        &self.costs
     }
 
     /// Writes the learned costs to their file, if one is wanted.
@@ -304,7 +327,7 @@ impl App {
         let refined = driver.refined();
         let elapsed = self.clock.now().saturating_sub(arrival);
         let (contract, expected_error) = (self.contract, self.expected_error());
-        Estimate { stamp, registration, contract, expected_error, elapsed, arrival, refined }
+        Estimate { stamp, registration, contract, expected_error, outside_profile: None, elapsed, arrival, refined }
     }
 
     /// The scan of a message that has just been answered; `None` where it is malformed.
@@ -332,6 +355,9 @@ impl App {
         self.counters.deadline_misses += u64::from(!estimate.deadline_met());
         if let (Some(report), Some(refined)) = (&estimate.registration.refinement, estimate.refined) {
             self.costs.observe(Phase::Closing, report.rays_used as usize, now.saturating_sub(refined));
+        }
+        if let (Some(watch), Some(conditions)) = (&mut self.watch, estimate.conditions()) {
+            estimate.outside_profile = watch.add(&conditions);
         }
     }
 

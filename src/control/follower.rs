@@ -403,6 +403,12 @@ mod tests {
             self.follower.on_path(&waypoints(points), Stamp::from_seconds(stamp))
         }
 
+        /// The lateral error to the path followed, m.
+        fn line(&self) -> f64 {
+            let path = self.follower.progress().unwrap().path();
+            path.project(&self.pose, 0.0, path.length()).unwrap().lateral_error
+        }
+
         fn tick(&mut self) -> Step {
             let stamp = Stamp::from_seconds(self.now);
             if self.poses {
@@ -533,30 +539,34 @@ mod tests {
     }
 
     #[test]
-    fn paths_that_come_late_and_shuffled_leave_no_step_in_the_line() {
-        let mut drive = Drive::new(FollowerKnobs { speed: 7.0, ..FollowerKnobs::default() });
-        let wave = |x: f64| 2.0 * (0.15 * x).sin();
-        let planned = |x: f64| (0..=300).map(|i| x + 0.1 * f64::from(i)).map(|x| (x, wave(x))).collect::<Vec<_>>();
-        let mut waiting = Vec::new();
-        drive.pose = Pose2::new(0.0, 0.0, 0.3);
-        drive.give(&planned(0.0), 100.0).unwrap();
-        for tick in 0..600_u32 {
-            if tick % 10 == 0 {
-                // 0 to 2 s late, by turns: the newer ones overtake.
-                let late = [2.0, 0.0, 1.0][tick as usize / 10 % 3];
-                waiting.push((drive.now + late, drive.now, planned(drive.pose.x)));
-            }
-            waiting.retain(|(due, stamp, path)| {
-                let is_due = *due <= drive.now;
-                if is_due {
-                    drive.follower.on_path(&waypoints(path), Stamp::from_seconds(*stamp)).unwrap();
+    fn paths_that_come_late_and_shuffled_leave_no_stop_and_no_step_in_the_line() {
+        // Every one 2 s late, and 0 to 2 s by turns: the newer ones overtake.
+        for lateness in [[2.0, 2.0, 2.0], [2.0, 0.0, 1.0]] {
+            let mut drive = Drive::new(FollowerKnobs { speed: 7.0, ..FollowerKnobs::default() });
+            let wave = |x: f64| 2.0 * (0.15 * x).sin();
+            let planned = |x: f64| (0..=400).map(|i| x + 0.1 * f64::from(i)).map(|x| (x, wave(x))).collect::<Vec<_>>();
+            let mut waiting = Vec::new();
+            drive.pose = Pose2::new(0.0, 0.0, 0.3);
+            drive.give(&planned(0.0), 100.0).unwrap();
+            for tick in 0..600_u32 {
+                if tick % 10 == 0 {
+                    let late = lateness[tick as usize / 10 % 3];
+                    waiting.push((drive.now + late, drive.now, planned(drive.pose.x)));
                 }
-                !is_due
-            });
-            let step = drive.tick();
-            assert_eq!(step.stop, None, "at {tick}");
-            assert!((drive.pose.y - wave(drive.pose.x)).abs() < 0.12, "at {tick}: {:?}", drive.pose);
+                waiting.retain(|(due, stamp, path)| {
+                    let is_due = *due <= drive.now;
+                    if is_due {
+                        let before = drive.line();
+                        drive.follower.on_path(&waypoints(path), Stamp::from_seconds(*stamp)).unwrap();
+                        assert!((drive.line() - before).abs() < 0.05, "at {tick}: from {before} to {} m", drive.line());
+                    }
+                    !is_due
+                });
+                let step = drive.tick();
+                assert_eq!(step.stop, None, "at {tick}");
+                assert!((drive.pose.y - wave(drive.pose.x)).abs() < 0.12, "at {tick}: {:?}", drive.pose);
+            }
+            assert!(drive.speed > 4.0 && drive.pose.x > 50.0, "{:?}", drive.pose);
         }
-        assert!(drive.speed > 4.0 && drive.pose.x > 50.0, "{:?}", drive.pose);
     }
 }

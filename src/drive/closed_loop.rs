@@ -14,6 +14,7 @@ use super::processor::{Load, Processor};
 use super::replanning::{Planner, Replanning, step_aside};
 use super::{DriveError, EstimatorKind};
 use crate::anytime::cost_model::CostModel;
+use crate::anytime::mode::{Outside, Watch};
 use crate::config::Config;
 use crate::control::follower::{Follower, FollowerKnobs, Step};
 use crate::control::policy::{Policy, Situation};
@@ -79,6 +80,9 @@ struct Loop<'a> {
     /// Work on a whole answer without bursts, as a moving mean.
     whole: Duration,
     step: Option<Step>,
+    /// Of a policy that goes by a table: whether that holds here.
+    watch: Option<Watch>,
+    outside: Option<Outside>,
     run: Run,
 }
 
@@ -184,6 +188,11 @@ impl<'a> Loop<'a> {
             free: Duration::ZERO,
             whole: Duration::ZERO,
             step: None,
+            watch: match &setup.policy {
+                Policy::Table(table) => Some(Watch::new(table.conditions)),
+                _ => None,
+            },
+            outside: None,
             run: Run::new(setup.seed),
         })
     }
@@ -209,6 +218,12 @@ impl<'a> Loop<'a> {
             self.whole = self.whole.mul_f64(1.0 - rest) + answer.work.mul_f64(rest);
         }
         self.run.add_answer(&answer, times, &truth.0);
+        if let (Some(watch), Some(conditions)) = (&mut self.watch, &answer.conditions) {
+            self.outside = watch.add(conditions);
+        }
+        if let Some(outside) = self.outside {
+            self.run.add_outside(outside);
+        }
         self.answers.push(answer);
     }
 
@@ -219,7 +234,7 @@ impl<'a> Loop<'a> {
         let room = self.setup.course.clearance(along, lookahead) - 0.5 * self.setup.follower.width;
         let period = Duration::from_millis(scan_period);
         let whole = self.setup.load.done(time, self.whole).saturating_sub(time);
-        Situation { speed, lookahead, clearance: room, period, whole }
+        Situation { speed, lookahead, clearance: room, period, is_familiar: self.outside.is_none(), whole }
     }
 
     fn deliver(&mut self, now: u64) {

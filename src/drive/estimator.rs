@@ -9,12 +9,14 @@ use super::{DriveError, EstimatorKind};
 use crate::anytime::ErrorEstimate;
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
+use crate::anytime::mode::Conditions;
 use crate::app::App;
 use crate::app::localizer::Localizer;
 use crate::config::Config;
 use crate::control::follower::PoseReading;
 use crate::control::policy::Terms;
 use crate::geometry::Pose2;
+use crate::localization::filter::Belief;
 use crate::matching::StopReason;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::LaserScan;
@@ -35,6 +37,8 @@ pub(super) struct Answer {
     pub(super) is_ok: bool,
     /// Whether it was the whole answer: nothing ended the work on it early.
     pub(super) is_whole: bool,
+    /// What it found; `None`: it tells nothing.
+    pub(super) conditions: Option<Conditions>,
     /// Processor time that it took.
     pub(super) work: Duration,
 }
@@ -145,6 +149,7 @@ fn of_matcher(app: &mut App, scan: &LaserScan, times: Times, processor: &Arc<Pro
     };
     let stop = registration.refinement.map(|report| report.stop_reason);
     let mut answer = answer(reading, ready, registration.outcome.is_ok());
+    answer.conditions = estimate.conditions();
     (answer.is_late, answer.is_whole) = (!estimate.overrun().is_zero(), is_whole(stop));
     app.maintain(&At { processor: Arc::clone(processor), time: times.next });
     answer
@@ -162,6 +167,7 @@ fn of_filter(localizer: &mut Localizer, scan: &LaserScan, times: Times, processo
     let (pose, deviation) = pose.unwrap_or((Pose2::IDENTITY, f64::INFINITY));
     let reading = PoseReading { stamp: fix.stamp, pose, speed: Some(localizer.twist().vx), deviation };
     let mut answer = answer(reading, ready, fix.belief.is_ok());
+    answer.conditions = fix.belief.as_ref().ok().map(Belief::conditions);
     (answer.is_late, answer.is_whole) = (!fix.overrun().is_zero(), is_whole(fix.stop_reason));
     localizer.maintain(&At { processor: Arc::clone(processor), time: times.next });
     answer
@@ -172,5 +178,5 @@ fn is_whole(stop: Option<StopReason>) -> bool {
 }
 
 fn answer(reading: PoseReading, ready: Duration, is_ok: bool) -> Answer {
-    Answer { reading, ready, free: ready, is_late: false, is_ok, is_whole: true, work: Duration::ZERO }
+    Answer { reading, ready, free: ready, is_late: false, is_ok, is_whole: true, conditions: None, work: Duration::ZERO }
 }

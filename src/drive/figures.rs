@@ -5,8 +5,11 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use super::estimator::{Answer, Times};
+use crate::anytime::mode::{Conditions, Outside, Ranges};
 use crate::control::follower::Step;
+use crate::evaluation::statistics::Statistics;
 use crate::geometry::{Point, Pose2};
+use crate::quantile::quantile;
 
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +78,15 @@ pub struct Run {
     pub first_stop: Option<String>,
     /// The largest step of the followed line when a path came, m.
     pub step_aside: f64,
+    /// What the answers found.
+    conditions: Vec<Conditions>,
+    /// Answers in other conditions than the table's, and what was first other there.
+    pub outside: u64,
+    /// The first.
+    pub first_outside: Option<Outside>,
+    poses: u64,
     squared_pose_errors: f64,
+    worst_pose_error: f64,
 }
 
 impl Run {
@@ -98,7 +109,12 @@ impl Run {
             stops: 0,
             first_stop: None,
             step_aside: 0.0,
+            conditions: Vec::new(),
+            outside: 0,
+            first_outside: None,
+            poses: 0,
             squared_pose_errors: 0.0,
+            worst_pose_error: 0.0,
         }
     }
 
@@ -114,7 +130,7 @@ impl Run {
 
     /// Keeps what sums it up, and its way if asked to.
     pub(super) fn forget_details(&mut self, keep_trace: bool) {
-        (self.errors, self.ages) = (Vec::new(), Vec::new());
+        (self.errors, self.ages, self.conditions) = (Vec::new(), Vec::new(), Vec::new());
         if !keep_trace {
             self.trace = Vec::new();
         }
@@ -122,7 +138,17 @@ impl Run {
 
     /// RMS distance of the poses from the truth, m.
     pub(super) fn pose_error(&self) -> f64 {
-        (self.squared_pose_errors / self.answers.max(1) as f64).sqrt()
+        (self.squared_pose_errors / self.poses.max(1) as f64).sqrt()
+    }
+
+    /// The conditions of nearly all answers.
+    pub(super) fn conditions(&self) -> Ranges {
+        Ranges::of(self.conditions.iter().copied())
+    }
+
+    pub(super) fn add_outside(&mut self, outside: Outside) {
+        self.outside += 1;
+        self.first_outside.get_or_insert(outside);
     }
 
     pub(super) fn add_error(&mut self, error: f64) {
@@ -130,11 +156,18 @@ impl Run {
     }
 
     pub(super) fn add_answer(&mut self, answer: &Answer, times: Times, truth: &Pose2) {
-        self.squared_pose_errors += truth.between(&answer.reading.pose).distance().powi(2);
+        // A filter that knows nothing gives no pose.
+        if answer.reading.deviation.is_finite() {
+            self.poses += 1;
+            let error = truth.between(&answer.reading.pose).distance();
+            self.squared_pose_errors += error.powi(2);
+            self.worst_pose_error = self.worst_pose_error.max(error);
+        }
         self.answers += 1;
         self.late += u64::from(answer.is_late);
         self.overdue += u64::from(answer.ready > times.next);
         self.failed += u64::from(!answer.is_ok);
+        self.conditions.extend(answer.conditions);
         self.work += answer.work;
     }
 
@@ -168,6 +201,8 @@ pub struct Figures {
     pub laps: f64,
     /// True distance from the path, m: mean, RMS, 99.9 % and most.
     pub lateral: [f64; 4],
+    /// Distance of the poses from the truth at their stamps, m: RMS and most. The rest of the lateral error is the follower's, and of delays.
+    pub pose: [f64; 2],
     /// Mean time of a lap from the second on, else of the first, s.
     pub lap_time: f64,
     /// Part of the answers that were later than their contract.
@@ -188,6 +223,10 @@ pub struct Figures {
     pub first_stop: Option<String>,
     /// The largest step of the followed line when a path came, m.
     pub step_aside: f64,
+    /// Part of the answers in other conditions than the table's.
+    pub outside: f64,
+    /// What was first other there.
+    pub first_outside: Option<String>,
 }
 
 impl Figures {
@@ -198,23 +237,26 @@ impl Figures {
         let laps: f64 = runs.iter().map(|run| run.laps).sum();
         let work: f64 = runs.iter().map(|run| run.work.as_secs_f64()).sum();
         let commands = runs.iter().map(|run| run.ages.len()).sum::<usize>().max(1) as f64;
-        let ages = sorted(runs.iter().flat_map(|run| run.ages.iter().copied()));
+        let ages: Vec<f64> = runs.iter().flat_map(|run| run.ages.iter().copied()).collect();
         Self {
             runs: runs.len(),
             finished: runs.iter().filter(|run| run.ending == Ending::Finished).count(),
             hits: runs.iter().filter(|run| run.ending == Ending::Hit).count(),
             laps,
-            lateral: lateral(&sorted(runs.iter().flat_map(|run| run.errors.iter().copied()))),
+            lateral: lateral(runs.iter().flat_map(|run| run.errors.iter().copied()).collect()),
+            pose: pose_errors(runs),
             lap_time: lap_time(runs),
             late: sum(|run| run.late) / answers,
             overdue: sum(|run| run.overdue) / answers,
             failed: sum(|run| run.failed) / answers,
             dropped: dropped / (answers + dropped),
-            age: [mean(&ages), at_share(&ages, 0.99)],
+            age: [mean(ages.clone()), at_share(ages, 0.99)],
             work_per_lap: work / laps.max(1e-9),
             stopped: sum(|run| run.stops) / commands,
             first_stop: runs.iter().find_map(|run| run.first_stop.clone()),
             step_aside: runs.iter().map(|run| run.step_aside).fold(0.0, f64::max),
+            outside: sum(|run| run.outside) / answers,
+            first_outside: runs.iter().find_map(|run| run.first_outside).map(|outside| outside.to_string()),
         }
     }
 
@@ -228,6 +270,7 @@ impl Figures {
             "lateral_error_m": {
                 "mean": self.lateral[0], "rms": self.lateral[1], "p99_9": self.lateral[2], "max": self.lateral[3],
             },
+            "pose_error_m": {"rms": self.pose[0], "max": self.pose[1]},
             "lap_time_s": self.lap_time,
             "late_answers": self.late,
             "answers_after_next_scan": self.overdue,
@@ -238,6 +281,8 @@ impl Figures {
             "stopped": self.stopped,
             "first_stop": self.first_stop,
             "path_step_m": self.step_aside,
+            "outside_profile": self.outside,
+            "first_outside_profile": self.first_outside,
         })
     }
 }
@@ -249,34 +294,30 @@ pub(super) fn endings(runs: &[Run]) -> Value {
         .collect()
 }
 
-fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_unstable_by(f64::total_cmp);
-    values
-}
-
-fn mean(values: &[f64]) -> f64 {
-    // + 0.0: the sum of nothing is -0.
-    values.iter().sum::<f64>() / values.len().max(1) as f64 + 0.0
-}
-
 /// The least value that so large a share does not exceed.
-#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a place in the list
-fn at_share(sorted: &[f64], share: f64) -> f64 {
-    let place = (share * sorted.len() as f64).ceil().max(1.0) as usize - 1;
-    sorted.get(place).copied().unwrap_or(0.0)
+fn at_share(mut values: Vec<f64>, share: f64) -> f64 {
+    quantile(&mut values, share, f64::total_cmp).unwrap_or_default()
 }
 
-fn lateral(sorted: &[f64]) -> [f64; 4] {
-    let squares: f64 = sorted.iter().map(|error| error * error).sum();
-    let rms = (squares / sorted.len().max(1) as f64).sqrt();
-    [mean(sorted), rms, at_share(sorted, 0.999), sorted.last().copied().unwrap_or(0.0)]
+fn lateral(errors: Vec<f64>) -> [f64; 4] {
+    let Some(Statistics { mean, rmse, max, .. }) = Statistics::of(errors.clone()) else { return [0.0; 4] };
+    [mean, rmse, at_share(errors, 0.999), max]
+}
+
+fn mean(values: Vec<f64>) -> f64 {
+    Statistics::of(values).map_or(0.0, |statistics| statistics.mean)
+}
+
+fn pose_errors(runs: &[Run]) -> [f64; 2] {
+    let squares: f64 = runs.iter().map(|run| run.squared_pose_errors).sum();
+    let poses = runs.iter().map(|run| run.poses).sum::<u64>().max(1);
+    [(squares / poses as f64).sqrt(), runs.iter().map(|run| run.worst_pose_error).fold(0.0, f64::max)]
 }
 
 fn lap_time(runs: &[Run]) -> f64 {
     let flying: Vec<f64> = runs.iter().flat_map(|run| run.lap_ends.windows(2).map(|ends| ends[1] - ends[0])).collect();
     let first: Vec<f64> = runs.iter().filter_map(|run| run.lap_ends.first().copied()).collect();
-    mean(if flying.is_empty() { &first } else { &flying })
+    mean(if flying.is_empty() { first } else { flying })
 }
 
 #[cfg(test)]

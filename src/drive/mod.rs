@@ -36,6 +36,7 @@ use crate::control::waypoint_file::WaypointFileError;
 use crate::evaluation::plot::PlotError;
 use crate::io::cost_file::CostFileError;
 use crate::io::map_file::MapError;
+use crate::io::profile_file::ProfileFileError;
 use crate::simulation::planner::NoLoop;
 
 choices! {
@@ -108,6 +109,9 @@ pub enum DriveError {
     /// The configured contract is none.
     #[error(transparent)]
     Contract(#[from] ContractError),
+    /// The profile cannot be read.
+    #[error(transparent)]
+    Profile(#[from] ProfileFileError),
     /// The costs cannot be read.
     #[error(transparent)]
     Costs(#[from] CostFileError),

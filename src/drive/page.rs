@@ -2,14 +2,14 @@
 
 use std::fmt::Write as _;
 
-use super::study::{HEADER, Outcome, Study, row};
+use super::study::{HEADER, Outcome, Study, remarks, row};
 use crate::profile::html::{STYLE, escaped, table};
 
 /// Ways of so many cases are drawn at most.
 pub(super) const MOST_PATHS: usize = 12;
 
 const MEANING: &str = "Errors are distances of the true rear axle from the path. A drive ends at the first touch of a wall, or when the car \
-    has not come on for 10 s. Late: answers later than their contract; with no contract, than the next scan. Age: of the pose when the \
+    has not come on for 10 s. Pose: RMS distance of the poses from the truth at their stamps. Late: answers later than their contract; with no contract, than the next scan. Age: of the pose when the \
     command acts, mean. cpu/lap: processor time of the estimator, other programs' apart.";
 
 /// The page, with pictures and their titles.
@@ -19,10 +19,11 @@ pub(super) fn report(study: &Study, outcomes: &[Outcome], pictures: &[(String, S
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
          <title>Drives in {0}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>The closed loop: drives in {0}</h1>\n<pre>{1}</pre>\n\
-         <table class=\"facts\">\n{facts}</table>\n<h2>Figures</h2>\n{2}<p>{MEANING}</p>\n",
+         <table class=\"facts\">\n{facts}</table>\n<h2>Figures</h2>\n{2}{3}<p>{MEANING}</p>\n",
         escaped(&study.course.name),
         escaped(&study.command),
         table(&HEADER, outcomes.iter().map(row)),
+        remarks(outcomes).iter().fold(String::new(), |text, remark| text + "<p>" + &escaped(remark) + "</p>\n"),
     );
     for (title, svg) in pictures {
         let _ = write!(page, "<h2>{}</h2>\n<figure>\n{svg}</figure>\n", escaped(title));

@@ -1,27 +1,47 @@
-//! The modes of a table: what error to expect of a time budget, on this course and this machine.
+//! The table of a policy: what error to expect of a time budget, and in which conditions. By the profile that the configuration names, else as
+//! driven on this course and this machine.
 
+use std::path::Path;
 use std::time::Duration;
 
-use super::DriveError;
 use super::closed_loop::{Setup, drive};
 use super::processor::Load;
+use super::{DriveError, EstimatorKind};
 use crate::anytime::contract::Contract;
-use crate::control::policy::{Mode, Policy};
+use crate::anytime::mode::Mode;
+use crate::control::policy::{Policy, Table};
+use crate::io::profile_file::Profile;
+use crate::profile::variant::Variant;
 
 /// Time budgets as parts of the scan period.
 const PARTS: [f64; 7] = [0.025, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0];
 /// Speed of the drive that is profiled, m/s: one at which no budget loses the car.
 const SPEED: f64 = 2.0;
 
-/// The modes of a setup's estimator, by their delay: one lap at moderate speed for each, on the machine without bursts.
-pub(super) fn modes(setup: &Setup) -> Result<Vec<Mode>, DriveError> {
-    let mode = |part: f64| {
+/// The table of a setup's estimator.
+pub(super) fn table(setup: &Setup) -> Result<Table, DriveError> {
+    let Some(path) = &setup.config.contract.profile else { return driven(setup) };
+    let matching = &setup.config.matching;
+    let variant = match setup.estimator {
+        EstimatorKind::ParticleFilter => Variant::Filter,
+        _ => Variant::Matcher { search: matching.correspondence, solver: matching.solver },
+    };
+    let profile = Profile::load(Path::new(path))?;
+    let known = profile.variant(&variant.to_string())?;
+    Ok(Table { modes: known.modes(), conditions: known.conditions })
+}
+
+/// One lap at moderate speed for each mode, on the machine without bursts. The conditions are those of the longest budget.
+fn driven(setup: &Setup) -> Result<Table, DriveError> {
+    let drive_mode = |part: f64| {
         let delay = Duration::from_secs_f64(part / setup.lidar.rate);
         let contract = Contract { time_budget: Some(delay), ..Contract::default() };
         let mut profiled =
             Setup { policy: Policy::Fixed(contract), laps: 1, load: Load { bursts: 1.0, ..setup.load }, ..setup.clone() };
         profiled.follower.speed = SPEED.min(setup.follower.speed);
-        drive(&profiled).map(|run| Mode { delay, error: run.pose_error() })
+        drive(&profiled).map(|run| (Mode { delay, error: run.pose_error() }, run.conditions()))
     };
-    crate::parallel::map(PARTS.into_iter(), mode).into_iter().collect()
+    let driven: Vec<_> = crate::parallel::map(PARTS.into_iter(), drive_mode).into_iter().collect::<Result<_, _>>()?;
+    let conditions = driven.last().map(|(_, conditions)| *conditions).unwrap_or_default();
+    Ok(Table { modes: driven.into_iter().map(|(mode, _)| mode).collect(), conditions })
 }

@@ -1,10 +1,9 @@
 //! Many drives: every policy at every speed and load, with as many seeds as asked for.
 
-use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path as FilePath, PathBuf};
 
-use comfy_table::{Table, presets};
+use comfy_table::presets;
 use serde_json::{Value, json};
 
 use super::closed_loop::{Setup, drive};
@@ -16,7 +15,7 @@ use super::replanning::Replanning;
 use super::{DriveError, EstimatorKind, costs, page, pictures, profiling};
 use crate::config::Config;
 use crate::control::follower::FollowerKnobs;
-use crate::control::policy::{Mode, Policy};
+use crate::control::policy::{Policy, Table};
 use crate::output;
 use crate::parallel;
 use crate::simulation::lidar::LidarKnobs;
@@ -68,8 +67,10 @@ pub struct Study<'a> {
     pub replanning: Option<Replanning>,
     /// Laps of a drive.
     pub laps: u32,
-    /// Drives of a case, with seeds from 1.
+    /// Drives of a case.
     pub seeds: u32,
+    /// The seed of the first of them; each of the others has the next one.
+    pub first_seed: u32,
     /// All policies, all speeds, all loads.
     pub policies: Vec<Policy>,
     /// m/s.
@@ -122,25 +123,23 @@ impl Study<'_> {
     }
 
     fn drive_case(&self, mut case: Case, on_run: &(impl Fn() + Sync)) -> Result<Outcome, DriveError> {
-        if case.policy == Policy::Table(Vec::new()) {
-            case.policy = Policy::Table(self.modes(&case)?);
+        if case.policy == Policy::Table(Table::default()) {
+            case.policy = Policy::Table(profiling::table(&self.setup(&case, self.first_seed)?)?);
         }
         let run = |seed: u32| {
             let run = self.setup(&case, seed).and_then(|setup| drive(&setup));
             on_run();
             run
         };
-        let mut runs: Vec<Run> = parallel::map(1..=self.seeds, run).into_iter().collect::<Result<_, _>>()?;
+        let mut runs: Vec<Run> = parallel::map((0..self.seeds).map(|drive| self.first_seed.wrapping_add(drive)), run)
+            .into_iter()
+            .collect::<Result<_, _>>()?;
         let figures = Figures::of(&runs);
         let shown = runs.iter().position(|run| !run.is_finished()).unwrap_or(0);
         for (index, run) in runs.iter_mut().enumerate() {
             run.forget_details(index == 0 || index == shown);
         }
         Ok(Outcome { case, figures, runs })
-    }
-
-    fn modes(&self, case: &Case) -> Result<Vec<Mode>, DriveError> {
-        profiling::modes(&self.setup(case, 1)?)
     }
 
     /// What was driven, in words.
@@ -153,7 +152,7 @@ impl Study<'_> {
             ),
             ("estimator", self.estimator.name().into()),
             ("law", self.follower.law.name().into()),
-            ("laps, seeds", format!("{} laps, seeds 1 to {}", self.laps, self.seeds)),
+            ("laps, seeds", format!("{} laps, {} seeds from {} on", self.laps, self.seeds, self.first_seed)),
             ("laser", format!("{} beams at {} Hz", self.lidar.beams, self.lidar.rate)),
             (
                 "flaws of the car, standard deviations",
@@ -211,9 +210,9 @@ impl Study<'_> {
             value["speed_m_s"] = (*speed).into();
             value["slowdown"] = load.slowdown.into();
             value["bursts"] = load.bursts.into();
-            if let Policy::Table(modes) = policy {
+            if let Policy::Table(table) = policy {
                 value["modes"] =
-                    modes.iter().map(|mode| json!({"delay_s": mode.delay.as_secs_f64(), "error_m": mode.error})).collect();
+                    table.modes.iter().map(|mode| json!({"delay_s": mode.delay.as_secs_f64(), "error_m": mode.error})).collect();
             }
             value["drives"] = endings(&outcome.runs);
             value
@@ -232,7 +231,7 @@ impl std::fmt::Display for Case {
 }
 
 /// The columns of the table.
-pub(super) const HEADER: [&str; 14] = [
+pub(super) const HEADER: [&str; 15] = [
     "policy",
     "speed",
     "load",
@@ -243,6 +242,7 @@ pub(super) const HEADER: [&str; 14] = [
     "RMS [cm]",
     "p99.9 [cm]",
     "max [cm]",
+    "pose [cm]",
     "lap [s]",
     "late [%]",
     "age [ms]",
@@ -263,6 +263,7 @@ pub(super) fn row(outcome: &Outcome) -> Vec<String> {
         format!("{:.1}", figures.laps),
     ];
     row.extend(centimetres);
+    row.push(format!("{:.1}", 100.0 * figures.pose[0]));
     row.push(format!("{:.2}", figures.lap_time));
     row.push(format!("{:.2}", 100.0 * figures.late.max(if case.policy == Policy::Completion { figures.overdue } else { 0.0 })));
     row.push(format!("{:.1}", 1e3 * figures.age[0]));
@@ -272,31 +273,32 @@ pub(super) fn row(outcome: &Outcome) -> Vec<String> {
 
 /// For people.
 pub fn to_text(outcomes: &[Outcome]) -> String {
-    let mut table = Table::new();
+    let mut table = comfy_table::Table::new();
     table.load_style(presets::NOTHING);
     table.set_header(HEADER);
     for outcome in outcomes {
         table.add_row(row(outcome));
     }
-    let mut text = table.to_string();
-    for outcome in outcomes {
-        let figures = &outcome.figures;
+    remarks(outcomes).iter().fold(table.to_string(), |text, remark| text + "\n" + remark)
+}
+
+/// What the table does not say.
+pub(super) fn remarks(outcomes: &[Outcome]) -> Vec<String> {
+    let mut remarks = Vec::new();
+    for Outcome { case, figures, .. } in outcomes {
         if let Some(reason) = &figures.first_stop {
-            let _ = write!(
-                text,
-                "\n{}: braked or stood for {:.1} % of the commands, first because {reason}",
-                outcome.case,
-                100.0 * figures.stopped
-            );
+            let share = 100.0 * figures.stopped;
+            remarks.push(format!("{case}: braked or stood for {share:.1} % of the commands, first because {reason}"));
+        }
+        if let Some(outside) = &figures.first_outside {
+            let share = 100.0 * figures.outside;
+            remarks
+                .push(format!("{case}: warning: {share:.1} % of the answers are outside of what the profile is of: {outside}"));
         }
         if figures.step_aside > 0.0 {
-            let _ = write!(
-                text,
-                "\n{}: the followed line stepped aside by {:.1} cm at most",
-                outcome.case,
-                100.0 * figures.step_aside
-            );
+            let centimetres = 100.0 * figures.step_aside;
+            remarks.push(format!("{case}: the followed line stepped aside by {centimetres:.1} cm at most"));
         }
     }
-    text
+    remarks
 }

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::yaml;
+use crate::anytime::mode::{Mode, Ranges};
 use crate::knobs::{Value, nearest_name};
 
 /// The expected error of every variant, and the data it was measured on.
@@ -57,6 +58,9 @@ pub struct VariantProfile {
     pub setup_us: Option<f64>,
     /// Delay of each ray of an iteration, us, on the machine of the study.
     pub per_ray_us: Option<f64>,
+    /// The conditions of the study's answers; elsewhere nothing is known of delays and errors.
+    #[serde(default)]
+    pub conditions: Ranges,
     /// By rising budget.
     pub budgets: Vec<Budget>,
 }
@@ -149,7 +153,7 @@ impl Profile {
 
 impl VariantProfile {
     /// From what was measured: in any order, and with errors that chance may have made rise with the budget.
-    pub fn new(measured_by: &str, cost: Option<(f64, f64)>, mut budgets: Vec<Budget>) -> Self {
+    pub fn new(measured_by: &str, cost: Option<(f64, f64)>, conditions: Ranges, mut budgets: Vec<Budget>) -> Self {
         budgets.sort_by(|a, b| a.delta_s.total_cmp(&b.delta_s));
         budgets.dedup_by_key(|budget| budget.delta_s);
         for figure in FIGURES {
@@ -160,7 +164,7 @@ impl VariantProfile {
             }
         }
         let (setup_us, per_ray_us) = cost.unzip();
-        Self { measured_by: measured_by.into(), setup_us, per_ray_us, budgets }
+        Self { measured_by: measured_by.into(), setup_us, per_ray_us, conditions, budgets }
     }
 
     /// The error to expect within a budget: on the line between the budgets measured; beyond the longest that of the longest. `None` below
@@ -177,6 +181,12 @@ impl VariantProfile {
             *figure(&mut error) += fraction * (*figure(&mut later) - *figure(&mut error));
         }
         Some(error)
+    }
+
+    /// What a controller may choose from, by rising delay.
+    pub fn modes(&self) -> Vec<Mode> {
+        let mode = |budget: &Budget| Mode { delay: Duration::from_secs_f64(budget.delta_s), error: budget.error.position_mean_m };
+        self.budgets.iter().map(mode).collect()
     }
 
     fn check(&self) -> Result<(), String> {
@@ -243,6 +253,7 @@ mod tests {
             measured_by: "time_budget".into(),
             setup_us: None,
             per_ray_us: None,
+            conditions: Ranges { rays: Some([900.0, 1000.0]), ..Ranges::default() },
             budgets: errors.iter().map(budget).collect(),
         }
     }

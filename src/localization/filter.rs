@@ -19,6 +19,7 @@ use super::sensor::SensorKnobs;
 use super::streams::Streams;
 use super::update::{Searching, Update, particles_for};
 use crate::anytime::Driver;
+use crate::anytime::mode::Conditions;
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::map::grid::OccupancyGrid;
 use crate::matching::StopReason;
@@ -59,6 +60,12 @@ pub struct Belief {
 impl Belief {
     /// The least mean of [`Self::explained`] with which a map can be the right one.
     pub const LEAST_EXPLAINED: f64 = LEAST;
+
+    /// What the last scan was like.
+    pub fn conditions(&self) -> Conditions {
+        let agreement = if self.beams > 0 { self.explained } else { f64::NAN };
+        Conditions { agreement, rays: f64::NAN, condition_number: f64::NAN }
+    }
 
     /// Whether the robot knows where it is.
     pub fn is_localized(&self) -> bool {

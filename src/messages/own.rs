@@ -44,6 +44,7 @@ pub struct MatchReport {
     pub expected_translation_error_p95: f64,
     pub expected_rotation_error: f64,
     pub expected_rotation_error_p95: f64,
+    pub outside_profile: String,
     pub iterations: u32,
     pub rays: u32,
     pub rays_used: u32,
@@ -66,7 +67,7 @@ pub struct MatchReport {
 
 impl Message for MatchReport {
     const TYPE: &'static str = "anytime_scan_matcher/MatchReport";
-    const MD5: &'static str = "93bc9c7c18d81255160a86d4a07d7854";
+    const MD5: &'static str = "29ee1f66cd37763f031e10d5f57002a5";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
         ("anytime_scan_matcher/MatchReport", include_str!("../../msg/anytime_scan_matcher/msg/MatchReport.msg")),
         ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),

@@ -6,6 +6,7 @@ use super::knob::Knob;
 use super::pictures::Picture;
 use super::study::{ERROR_MEANS, Results};
 use super::summary::CaseSummary;
+use super::tables;
 
 /// How a report looks.
 pub(crate) const STYLE: &str = "
@@ -58,6 +59,7 @@ pub fn report(results: &Results, pictures: &[Picture], command: &str) -> String 
         ));
     }
     add(&cost_table(results));
+    add(&look_up_tables(results));
     add(&summary_tables(results));
     add("</body>\n</html>\n");
     page
@@ -66,7 +68,9 @@ pub fn report(results: &Results, pictures: &[Picture], command: &str) -> String 
 fn contents(pictures: &[Picture]) -> String {
     let entry = |name: &str, title: &str| format!("<li><a href=\"#{}\">{}</a></li>\n", escaped(name), escaped(title));
     let pictures: String = pictures.iter().map(|picture| entry(&picture.name, &picture.title)).collect();
-    format!("<ul>\n{pictures}{}{}</ul>\n", entry("cost", "Cost of an iteration"), entry("summary", "All figures"))
+    let tables = [("cost", "Cost of an iteration"), ("look_up", "Look-up table"), ("summary", "All figures")];
+    let tables: String = tables.iter().map(|(name, title)| entry(name, title)).collect();
+    format!("<ul>\n{pictures}{tables}</ul>\n")
 }
 
 /// What was measured, on what, and how.
@@ -142,6 +146,17 @@ fn cost_table(results: &Results) -> String {
         "<h2 id=\"cost\">Cost of an iteration</h2>\n{}",
         table(&["variant", "setup [us]", "per ray [ns]", "iteration of all rays [us]"], rows)
     )
+}
+
+/// The look-up table, and what it is worth beside contracts where that was asked for.
+fn look_up_tables(results: &Results) -> String {
+    let look_up = table(&tables::LOOK_UP, tables::look_up_rows(results));
+    let mut text = format!("<h2 id=\"look_up\">Look-up table</h2>\n<p>{}</p>\n{look_up}", escaped(tables::LOOK_UP_MEANS));
+    if !results.comparisons.is_empty() {
+        let comparison = table(&tables::COMPARISON, tables::comparison_rows(results));
+        let _ = write!(text, "<p>{}</p>\n{comparison}", escaped(tables::COMPARISON_MEANS));
+    }
+    text
 }
 
 fn summary_tables(results: &Results) -> String {

@@ -2,22 +2,26 @@
 //!
 //! A [`plan`] says what is run; a [`study`] runs it ([`run`]) and sums it up ([`summary`]) in tables ([`csv_files`]), [`pictures`], a
 //! page that gathers them ([`html`]) and a file for the node and for planners ([`crate::io::profile_file`]). Besides the runs it fits what an
-//! iteration costs ([`cost`]) and times the correspondence searches ([`search_time`]).
+//! iteration costs ([`cost`]), times the correspondence searches ([`search_time`]), and holds the look-up table of delays ([`look_up`])
+//! against contracts by learned costs ([`comparison`]).
 //!
 //! Errors are those of `anytime evaluate`: of each pose, after the rigid motion that lays the whole trajectory onto the truth with the
 //! least squared distance of the positions (ATE). They are the same to the last bit in every run, except where a time budget is kept
 //! by the machine's clock.
 
+pub mod comparison;
 pub mod cost;
 pub mod csv_files;
 pub mod html;
 pub mod knob;
+pub mod look_up;
 pub mod pictures;
 pub mod plan;
 pub mod run;
 pub mod search_time;
 pub mod study;
 pub mod summary;
+mod tables;
 pub mod variant;
 
 use std::io;

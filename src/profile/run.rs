@@ -5,6 +5,8 @@ use std::sync::Arc;
 use super::ProfileError;
 use super::variant::Variant;
 use crate::anytime::clock::Clock;
+use crate::anytime::cost_model::CostModel;
+use crate::anytime::mode::Conditions;
 use crate::app::localizer::Localizer;
 use crate::app::{App, Estimate};
 use crate::config::Config;
@@ -56,6 +58,8 @@ pub struct ScanRecord {
     pub rays: u64,
     /// Mean absolute error of the last iteration's inliers, m; `None` when there was no match.
     pub mean_residual: Option<f64>,
+    /// What the estimator found.
+    pub conditions: Option<Conditions>,
     /// The aligned pose seen from the true one; `None` where no truth is near in time.
     pub error: Option<Pose2>,
 }
@@ -75,6 +79,8 @@ pub struct Run {
     pub scan_points: Vec<Point>,
     /// Beams of the first scan.
     pub beams: usize,
+    /// What work was learned to cost, at the end; the particle filter's is not told.
+    pub costs: Option<CostModel>,
 }
 
 /// Runs the bag through a variant. `keep_points`: collect points of the scans for a map.
@@ -130,6 +136,7 @@ fn localized(answer: &Answer) -> Option<ScanRecord> {
         iterations: 0,
         rays: 0,
         mean_residual: None,
+        conditions: None,
         error: None,
     };
     match answer {
@@ -138,6 +145,7 @@ fn localized(answer: &Answer) -> Option<ScanRecord> {
             matched: belief.beams > 0,
             delay_us: Some(microseconds(fix.elapsed)),
             rays: (belief.particles * belief.beams) as u64,
+            conditions: Some(belief.conditions()),
             ..record(fix.stamp, belief.map_from_base)
         }),
     }
@@ -173,6 +181,7 @@ fn match_run(
         Ok(())
     })?;
     run.scan_points = sketch.points().to_vec();
+    run.costs = Some(app.costs().clone());
     Ok(run)
 }
 
@@ -186,6 +195,7 @@ fn record(estimate: &Estimate, iterations: &[IterationTrace]) -> ScanRecord {
         iterations: registration.refinement.map_or(0, |r| r.iterations),
         rays: iterations.iter().map(|iteration| u64::from(iteration.rays)).sum(),
         mean_residual: registration.refinement.map(|r| r.mean_residual),
+        conditions: estimate.conditions(),
         error: None,
     }
 }

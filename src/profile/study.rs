@@ -3,11 +3,14 @@
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
+use super::comparison::{Comparison, Ground};
 use super::cost::{self, IterationCost, Level};
 use super::csv_files::{self, RunFiles};
 use super::html;
 use super::knob::Knob;
+use super::look_up::LookUpTable;
 use super::pictures;
 use super::plan::Plan;
 use super::run::{Input, Run, run};
@@ -16,6 +19,7 @@ use super::summary::{CaseSummary, Figures};
 use super::variant::Variant;
 use super::{ProfileError, knob};
 use crate::anytime::clock::Clock;
+use crate::anytime::mode::Ranges;
 use crate::config::Config;
 use crate::evaluation::trajectory::Trajectory;
 use crate::io::profile_file::{Budget, ExpectedError, Profile, Provenance, VariantProfile};
@@ -36,6 +40,8 @@ pub struct Study<'a> {
     pub config: &'a Config,
     /// The cases.
     pub plan: &'a Plan,
+    /// Times that the look-up table and contracts are to keep, to be compared.
+    pub deltas: &'a [Duration],
     /// Makes the clock of a run.
     pub new_clock: &'a dyn Fn() -> Arc<dyn Clock>,
     /// Names for the records.
@@ -64,6 +70,8 @@ pub struct VariantCost {
     pub levels: Vec<Level>,
     /// The line through them.
     pub model: Option<IterationCost>,
+    /// The plane through all delays.
+    pub look_up: Option<LookUpTable>,
 }
 
 /// What a study has found.
@@ -74,6 +82,8 @@ pub struct Results {
     pub first_runs: Vec<Run>,
     /// Of each variant.
     pub costs: Vec<VariantCost>,
+    /// The look-up table beside contracts.
+    pub comparisons: Vec<Comparison>,
     /// Of each kind of search.
     pub search_times: Vec<SearchTime>,
     /// The truth.
@@ -114,8 +124,11 @@ impl Study<'_> {
             .collect();
         let max_distance = self.config.matching.max_correspondence_distance;
         let clock = (self.new_clock)();
+        let costs = costs(&cases, &answers);
+        let beams = first_runs.first().map_or(0, |run| run.beams);
         let results = Results {
-            costs: costs(&cases, &answers),
+            comparisons: self.compare(&costs, beams, &mut on_message)?,
+            costs,
             search_times: search_time::measure(self.input.bag, &self.input.topics.scan, max_distance, &*clock)?,
             truth: self.input.truth.clone(),
             provenance: self.provenance(&first_runs),
@@ -124,6 +137,32 @@ impl Study<'_> {
         };
         self.write(folder, &results)?;
         Ok(results)
+    }
+
+    /// Runs in all.
+    pub fn runs(&self) -> usize {
+        let mut matchers: Vec<Variant> =
+            self.plan.cases.iter().map(|case| case.variant).filter(|v| *v != Variant::Filter).collect();
+        matchers.dedup();
+        self.plan.runs() + 2 * matchers.len() * self.deltas.len() * self.plan.rounds as usize
+    }
+
+    /// The look-up table beside contracts, of every scan matcher.
+    fn compare(
+        &self,
+        costs: &[VariantCost],
+        beams: usize,
+        mut on_message: impl FnMut(),
+    ) -> Result<Vec<Comparison>, ProfileError> {
+        let ground = Ground { input: self.input, config: self.config, rounds: self.plan.rounds, new_clock: self.new_clock };
+        let mut comparisons = Vec::new();
+        for cost in costs.iter().filter(|cost| cost.variant != Variant::Filter) {
+            let Some(table) = &cost.look_up else { continue };
+            for &delta in self.deltas {
+                comparisons.push(ground.compare(cost.variant, delta, (table, &cost.levels, beams), &mut on_message)?);
+            }
+        }
+        Ok(comparisons)
     }
 
     fn provenance(&self, runs: &[Run]) -> Provenance {
@@ -188,10 +227,18 @@ impl Results {
     pub fn profile(&self) -> Profile {
         let variants = self.costs.iter().filter_map(|cost| {
             let knobs = [Knob::TimeBudget, Knob::MaxIterations, Knob::Beams, Knob::KeyframeDistance, Knob::Particles];
-            let cases = knobs.iter().map(|&knob| self.of(cost.variant, knob)).find(|cases| !cases.is_empty())?;
-            Some((cost.variant.to_string(), expectations(&cases, cost.model)?))
+            let knob = *knobs.iter().find(|&&knob| !self.of(cost.variant, knob).is_empty())?;
+            let expected = expectations(&self.of(cost.variant, knob), cost.model, self.conditions(cost.variant, knob))?;
+            Some((cost.variant.to_string(), expected))
         });
         Profile { provenance: self.provenance.clone(), variants: variants.collect() }
+    }
+
+    /// The conditions of the answers of a variant while a knob was turned.
+    fn conditions(&self, variant: Variant, knob: Knob) -> Ranges {
+        let is_wanted = |summary: &CaseSummary| summary.case.variant == variant && summary.case.knob == knob;
+        let runs = self.cases.iter().zip(&self.first_runs).filter(|(summary, _)| is_wanted(summary)).map(|(_, run)| run);
+        Ranges::of(runs.flat_map(|run| run.scans.iter().filter_map(|scan| scan.conditions)))
     }
 }
 
@@ -203,23 +250,25 @@ fn showcase(cases: impl Iterator<Item = (Variant, Knob)>) -> Vec<usize> {
     (0..cases.len()).filter(|&i| cases[i] == chosen).collect()
 }
 
-/// Delay against iterations, of all runs that use every ray. `answers` of each case: iterations, rays and delay in us.
+/// Delay against iterations, of all runs that use every ray; the look-up table of all. `answers` of each case: iterations, rays and delay in us.
 fn costs(cases: &[CaseSummary], answers: &[Vec<(u32, u64, f64)>]) -> Vec<VariantCost> {
     let mut variants: Vec<Variant> = cases.iter().map(|summary| summary.case.variant).collect();
     variants.dedup();
-    let of = |variant: Variant| {
-        let is_wanted = move |summary: &CaseSummary| summary.case.variant == variant && summary.case.knob != Knob::Beams;
+    let of = |variant: Variant, beams_too: bool| {
+        let is_wanted =
+            move |summary: &CaseSummary| summary.case.variant == variant && (beams_too || summary.case.knob != Knob::Beams);
         cases.iter().zip(answers).filter(move |(summary, _)| is_wanted(summary)).flat_map(|(_, answers)| answers.iter().copied())
     };
     let cost = |variant: Variant| {
-        let levels = cost::levels(of(variant));
-        VariantCost { variant, model: cost::fit(&levels), levels }
+        let levels = cost::levels(of(variant, false));
+        let look_up = LookUpTable::fit(&of(variant, true).collect::<Vec<_>>());
+        VariantCost { variant, model: cost::fit(&levels), look_up, levels }
     };
     variants.into_iter().map(cost).collect()
 }
 
 /// What to expect of a variant, by the cases that turn one knob; `None` without any.
-fn expectations(cases: &[&CaseSummary], cost: Option<IterationCost>) -> Option<VariantProfile> {
+fn expectations(cases: &[&CaseSummary], cost: Option<IterationCost>, conditions: Ranges) -> Option<VariantProfile> {
     let knob = cases.first()?.case.knob;
     let budget = |summary: &&CaseSummary| {
         let (position, orientation) = (summary.figures.position, summary.figures.orientation);
@@ -236,5 +285,5 @@ fn expectations(cases: &[&CaseSummary], cost: Option<IterationCost>) -> Option<V
         Budget { delta_s, error }
     };
     let cost = cost.map(|cost| (cost.setup_us, cost.per_ray_us));
-    Some(VariantProfile::new(knob.name(), cost, cases.iter().map(budget).collect()))
+    Some(VariantProfile::new(knob.name(), cost, conditions, cases.iter().map(budget).collect()))
 }

@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 
 use super::{ReplayLog, microseconds};
 use crate::anytime::ErrorEstimate;
+use crate::anytime::mode::Outside;
 use crate::app::{Estimate, MountSource};
 use crate::evaluation::report::Report;
 use crate::evaluation::statistics::percentile;
@@ -28,6 +29,8 @@ pub struct Summary {
     budgets: Option<(Duration, Duration)>,
     /// Answers that had a bound on their error, and those that kept it.
     bounded: (usize, usize),
+    /// Answers to scans of another kind than the profile's, and what was first.
+    outside_profile: Option<(usize, Outside)>,
     misses: usize,
     worst_overrun: Duration,
 }
@@ -104,6 +107,9 @@ impl Summary {
             let kept = estimate.error_excess() == ErrorEstimate::default();
             self.bounded = (self.bounded.0 + 1, self.bounded.1 + usize::from(kept));
         }
+        if let Some(outside) = estimate.outside_profile {
+            self.outside_profile.get_or_insert((0, outside)).0 += 1;
+        }
         self.misses += usize::from(!estimate.deadline_met());
         self.worst_overrun = self.worst_overrun.max(estimate.overrun());
         pose
@@ -131,7 +137,12 @@ impl Summary {
     /// What the user should know, each with its remedy where there is one.
     fn problems(&self, ending: &Ending) -> Vec<String> {
         let failures = self.failures.iter().map(|(reason, (count, first))| self.in_words(reason, *count, first));
-        failures.chain(ending.problems()).collect()
+        let elsewhere = self.outside_profile.map(|(count, first)| {
+            format!(
+                "{count} scans are of another kind than those of contract.profile, whose errors are not to be relied on: {first}"
+            )
+        });
+        failures.chain(elsewhere).chain(ending.problems()).collect()
     }
 
     fn path_length(&self) -> f64 {

@@ -96,6 +96,7 @@ impl Answer<'_> {
             expected_translation_error_p95: expected(|e| e.position_p95_m),
             expected_rotation_error: expected(|e| e.orientation_mean_rad),
             expected_rotation_error_p95: expected(|e| e.orientation_p95_rad),
+            outside_profile: estimate.outside_profile.map_or_else(String::new, |outside| outside.to_string()),
             iterations: count(|r| r.iterations),
             rays,
             rays_used,

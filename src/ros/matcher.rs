@@ -5,7 +5,7 @@ use std::sync::mpsc::Sender;
 use std::time::Duration;
 
 use super::convert::Answer;
-use super::diagnostics::{IMU_DISBELIEVED, MOUNT_ASSUMED, Monitor, ODOMETRY_DISBELIEVED, TRANSFORM_WITHHELD};
+use super::diagnostics::{IMU_DISBELIEVED, MOUNT_ASSUMED, Monitor, ODOMETRY_DISBELIEVED, OUTSIDE_PROFILE, TRANSFORM_WITHHELD};
 use super::inlet::Letter;
 use super::interrupts::Interrupts;
 use super::live_params::MatchingChange;
@@ -196,6 +196,7 @@ impl Matcher {
         let disbelieved = estimate.registration.disbelieved;
         self.monitor.set_condition(ODOMETRY_DISBELIEVED, disbelieved.odometry);
         self.monitor.set_condition(IMU_DISBELIEVED, disbelieved.imu);
+        self.monitor.set_condition(OUTSIDE_PROFILE, estimate.outside_profile.is_some());
         self.watch_mount();
         for remark in self.app.take_remarks() {
             self.log.warn(&format!("scan: {remark}"));

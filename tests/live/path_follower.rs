@@ -1,14 +1,18 @@
 //! The follower beside the built-in simulator.
 
+use std::collections::VecDeque;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::thread;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anytime_scan_matcher::app::planar_pose;
 use anytime_scan_matcher::control::path::Projection;
+use anytime_scan_matcher::control::speed::{SpeedLimits, SpeedProfile};
 use anytime_scan_matcher::drive::course::Course;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::messages;
 use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
 use anytime_scan_matcher::messages::nav_msgs::{Odometry, Path as PathMessage};
 use anytime_scan_matcher::messages::own::FollowerReport;
@@ -18,10 +22,12 @@ use anytime_scan_matcher::time::Stamp;
 use crate::common::drive::pose_message;
 use crate::common::graph::{Graph, PACKAGE, Process, within};
 use crate::common::skipped::skip;
-use crate::common::wire::say;
+use crate::common::wire::{Publisher, frame, say};
 
 /// The car touches a wall when it is this near to the middle of its rear axle, m.
 const GIRTH: f64 = 0.2;
+/// From the plan of a path to the path.
+const LATE: Duration = Duration::from_secs(2);
 
 /// What was recorded of a drive.
 struct Drive {
@@ -49,7 +55,11 @@ impl Drive {
 
     /// True distances from a path, m, in order.
     fn errors(&self, course: &Course) -> Vec<f64> {
-        let nearest = |pose: &Pose2| course.path.project(pose, 0.0, course.path.length()).map(|place: Projection| place.distance);
+        // Whichever way round it is driven.
+        let there = |pose: &Pose2| course.path.project(pose, 0.0, course.path.length());
+        let back = |pose: &Pose2| there(&Pose2::new(pose.x, pose.y, pose.theta + std::f64::consts::PI));
+        let distance = |place: Projection| place.distance;
+        let nearest = |pose: &Pose2| [there(pose), back(pose)].into_iter().flatten().map(distance).min_by(f64::total_cmp);
         let mut errors: Vec<f64> = self.truth.iter().step_by(5).filter_map(nearest).collect();
         errors.sort_by(f64::total_cmp);
         errors
@@ -58,6 +68,16 @@ impl Drive {
 
 fn corridor() -> PathBuf {
     Path::new(PACKAGE).join("maps/corridor.yaml")
+}
+
+/// Where it is there; else the corridor.
+fn levine() -> PathBuf {
+    let levine = Path::new(PACKAGE).join("../shared/data/maps/levine.yaml");
+    if levine.exists() {
+        return levine;
+    }
+    skip("no ../shared/data/maps: the corridor instead of levine");
+    corridor()
 }
 
 fn launch(graph: &Graph, world: &Path, start: &Pose2, arguments: &[&str]) -> Process {
@@ -78,13 +98,7 @@ fn record(graph: &Graph, time: Duration) -> Drive {
 #[test]
 fn two_laps_at_four_metres_a_second_without_a_touch() {
     let Some(graph) = Graph::start() else { return };
-    let levine = Path::new(PACKAGE).join("../shared/data/maps/levine.yaml");
-    let world = if levine.exists() {
-        levine
-    } else {
-        skip("no ../shared/data/maps: two laps of the corridor instead of levine");
-        corridor()
-    };
+    let world = levine();
     let course = Course::load(world.to_str().unwrap(), None).unwrap();
     let _launch = launch(&graph, &world, &course.start(0.0), &["speed:=4", "estimator:=particle_filter"]);
     let time = Duration::from_secs_f64(2.0 * course.path.length() / 3.0 + 5.0);
@@ -128,6 +142,89 @@ fn it_drives_to_goals_and_lives_with_paths_nobody_should_send() {
     send("map", &[(6.0, -5.9)], "the path has no length");
     send("base_link", &[(0.0, 0.0), (0.5, 0.0), (2.5, 0.0)], "drives");
     assert!(within(Duration::from_secs(20), || launch.log().matches("stands: arrived").count() >= 2), "{}", launch.log());
+}
+
+/// Sends the way ahead of a car that drives as fast as it may, five times a second, each time as it was planned two seconds before.
+fn plan_late(graph: &Graph, course: &Course, limits: &SpeedLimits, time: Duration) {
+    let publisher = Publisher::new::<PathMessage>(graph, "/planner", "/path");
+    let mut link = publisher.link();
+    let mut waiting: VecDeque<(Instant, PathMessage)> = VecDeque::new();
+    let (speeds, mut along, mut speed) = (SpeedProfile::new(&course.path, limits), 0.0, 0.0);
+    let (begin, mut last) = (Instant::now(), Instant::now());
+    while begin.elapsed() < time {
+        let seconds = last.elapsed().as_secs_f64();
+        last = Instant::now();
+        if begin.elapsed() > LATE {
+            speed = speeds.at(along).min(speed + limits.braking * seconds);
+            along += speed * seconds;
+        }
+        let ahead = (0..400).map(|step| course.path.point(along + 0.1 * f64::from(step))).map(|point| (point.x, point.y));
+        waiting.push_back((last + LATE, path("map", &ahead.collect::<Vec<_>>())));
+        while waiting.front().is_some_and(|(due, _)| *due <= Instant::now()) {
+            let (_, planned) = waiting.pop_front().unwrap();
+            link.write_all(&frame(&messages::encode(&planned).unwrap())).unwrap();
+        }
+        thread::sleep(Duration::from_millis(200));
+    }
+}
+
+#[test]
+fn paths_two_seconds_late_and_replanned_leave_no_stop_and_no_step() {
+    let Some(graph) = Graph::start() else { return };
+    let world = levine();
+    let course = Course::load(world.to_str().unwrap(), None).unwrap();
+    let launch = launch(&graph, &world, &course.start(0.0), &["speed:=7", "estimator:=truth", "path:=none", "rate:=50"]);
+    launch.expect_log("simulates a racecar");
+    launch.expect_log("stands: no path");
+    let recorder = graph.record(&["/odom", "/follower/report"]);
+    let limits = SpeedLimits { top: 7.0, lateral_acceleration: 4.0, braking: 3.0 };
+    plan_late(&graph, &course, &limits, Duration::from_secs(20));
+    let drive = Drive::read(&graph.finish_recording(recorder));
+    let begin = drive.reports.iter().position(|report| report.driving).unwrap();
+    // It goes on while the last path lasts, and longer than it was sent paths.
+    let reports = &drive.reports[begin..begin + 800];
+    // A machine that is busy starves the simulator: what old poses lead to is not of the paths' making.
+    let is_fed = |report: &FollowerReport| report.pose_age < 0.1;
+    let stopped = reports.iter().filter(|report| is_fed(report) && !report.driving);
+    let stops: Vec<_> = stopped.map(|report| report.reason.as_str()).collect();
+    let fed = reports.windows(2).filter(|pair| pair.iter().all(is_fed));
+    let steps = fed.map(|pair| (pair[1].lateral_error - pair[0].lateral_error).abs());
+    let (step, fastest) = (steps.fold(0.0, f64::max), reports.iter().map(|report| report.speed).fold(0.0, f64::max));
+    let worst = *drive.errors(&course).last().unwrap();
+    eprintln!("{:.0} m, up to {fastest:.1} m/s, {worst:.3} m off at most, steps of {step:.3} m at most", drive.length());
+    assert!(stops.is_empty(), "{} stops: {}", stops.len(), stops[0]);
+    assert!(step < 0.05 && worst < 0.25 && fastest > 4.0, "step {step} m, {worst} m off, {fastest} m/s");
+}
+
+#[test]
+fn it_goes_on_after_it_was_killed_and_after_poses_had_stopped() {
+    let Some(graph) = Graph::start() else { return };
+    let (world, start) = (format!("_world:={}", corridor().display()), "_initial_pose:=[0, -6.1, 0]");
+    let simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &[&world, start, "_rate:=200", "_scan_rate:=40"]);
+    simulator.expect_log("simulates a racecar");
+    let map = format!("_map_file:={}", corridor().display());
+    let follow = || {
+        let follower = graph.spawn(env!("CARGO_BIN_EXE_path_follower"), &[&map, "_drive_round:=true", "_speed:=2", "pose:=odom"]);
+        follower.expect_log("follows a path");
+        follower
+    };
+    let follower = follow();
+    thread::sleep(Duration::from_secs(2));
+    follower.signal("KILL");
+    let follower = follow();
+    let course = Course::load(corridor().to_str().unwrap(), None).unwrap();
+    let drive = record(&graph, Duration::from_secs(4));
+    let worst = *drive.errors(&course).last().unwrap();
+    assert!(drive.length() > 4.0 && worst < 0.25, "{} m, {worst} m off", drive.length());
+    assert!(drive.reports.iter().all(|report| report.driving), "{}", follower.log());
+    // No poses, and no scans.
+    simulator.signal("STOP");
+    follower.expect_log("brakes: the pose is");
+    simulator.signal("CONT");
+    assert!(within(Duration::from_secs(20), || follower.log().contains("drives")), "{}", follower.log());
+    let drive = record(&graph, Duration::from_secs(3));
+    let worst = *drive.errors(&course).last().unwrap();
+    assert!(drive.length() > 3.0 && worst < 0.25, "{} m, {worst} m off", drive.length());
 }
 
 fn path(frame: &str, points: &[(f64, f64)]) -> PathMessage {

@@ -61,10 +61,28 @@ fn answers_come_as_late_as_their_work_takes() {
 
 #[test]
 fn late_paths_leave_no_step_and_no_stop() {
-    let arguments = ["--estimator", "truth", "--laps", "1", "--speed", "4", "--replan", "5", "--path-delay", "2s"];
+    let arguments = ["--estimator", "truth", "--laps", "1", "--speed", "7", "--replan", "5", "--path-delay", "2s"];
     let case = &cases(&arguments)[0];
     assert_eq!((number(case, &["finished"]), number(case, &["stopped"])), (1.0, 0.0), "{case}");
     assert!(number(case, &["path_step_m"]) < 0.05, "{case}");
+}
+
+#[test]
+fn a_table_from_elsewhere_is_warned_about_and_one_of_its_own_is_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().to_str().unwrap();
+    let profile = ["profile", "--world", "room", "--duration", "3s", "--beams", "90", "--knob", "time_budget", "--rounds", "1"];
+    let variant = ["--variant", "projective+point_to_line", "--clock", "virtual", "--out", out];
+    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(profile).args(variant).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let drive = ["--estimator", "scan_matcher", "--laps", "1", "--speed", "3", "--beams", "361", "--policy", "table"];
+    let own = &cases(&drive)[0];
+    assert_eq!((number(own, &["finished"]), number(own, &["outside_profile"])), (1.0, 0.0), "{own}");
+    let file = format!("contract.profile={out}/profile.yaml");
+    let output = anytime(&[&drive[..], &["--set", &file, "--out", out]].concat());
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.contains("warning: ") && text.contains("outside of what the profile is of: rays 361"), "{text}");
+    assert!(fs::read_to_string(folder.path().join("report.html")).unwrap().contains("outside of what the profile is of"));
 }
 
 #[test]
@@ -85,6 +103,7 @@ fn what_makes_no_sense_is_refused_with_a_remedy() {
         (&["--path", &open], 1, "--laps 1"),
         (&["--estimator", "particle_filter"], 1, "maps/corridor.yaml"),
         (&["--costs", "no/such.yaml"], 1, "no/such.yaml"),
+        (&["--policy", "table", "--set", "contract.profile=no/such.yaml"], 1, "no/such.yaml"),
         (&["--slowdown", "x0"], 2, "factor"),
     ] {
         let output = anytime(arguments);

@@ -159,6 +159,21 @@ fn a_drive_is_simulated_and_its_profile_tells_what_to_expect() {
     assert!(means.windows(2).all(|pair| pair[1] <= pair[0]) && means.iter().all(|mean| *mean > 0.0), "{means:?}");
     assert!(profile.variant("jump_table+point_to_lime").unwrap_err().to_string().contains("did you mean"));
     assert_eq!(Profile::from_yaml(&profile.to_yaml().unwrap()).unwrap(), profile, "it reads as it was written");
+    let [least, greatest] = variant.conditions.rays.unwrap();
+    assert!(80.0 < least && greatest <= 90.0 && variant.conditions.agreement.unwrap()[0] > 0.5, "{:?}", variant.conditions);
+    assert!(
+        Profile::from_yaml(&profile.to_yaml().unwrap().replace("conditions", "circumstances")).is_ok(),
+        "of earlier programs"
+    );
+    // Of its own drive it is a profile, of one by another laser elsewhere it is none.
+    let file = format!("contract.profile={}", out.join("profile.yaml").display());
+    let replayed = |bag: &str| {
+        let jump_table = ["--set", "matching.correspondence=jump_table", "--set", &file, "--time-budget", "5ms"];
+        success(&[&["replay", bag], &jump_table[..]].concat())
+    };
+    assert!(!replayed(out.join("drive.bag").to_str().unwrap()).contains("another kind"));
+    let elsewhere = replayed("bags/demo.bag");
+    assert!(elsewhere.contains("scans are of another kind") && elsewhere.contains("in the profile"), "{elsewhere}");
 }
 
 /// A room, 12 m x 9 m with a block in it, as a map of `map_server`.
@@ -199,6 +214,42 @@ fn the_particle_filter_stands_beside_the_scan_matcher() {
     assert!(no_map.contains("--map"), "{no_map}");
     let no_filter = failure(&["profile", "bags/demo.bag", "--out", "/tmp", "--knob", "particles"], 2);
     assert!(no_filter.contains("--map"), "{no_filter}");
+}
+
+#[test]
+fn the_look_up_table_is_told_and_held_against_contracts() {
+    let folder = tempfile::tempdir().unwrap();
+    let (bag, truth) = drive(folder.path());
+    let study = |out: &str, more: &[&str]| {
+        let out = folder.path().join(out);
+        let arguments = ["profile", &bag, "--truth", &truth, "--out", out.to_str().unwrap(), "--knob", "max_iterations"];
+        let rest = ["--variant", "projective+point_to_line", "--rounds", "1", "--clock", "virtual"];
+        let text = success(&[&arguments[..], &rest, more].concat());
+        (text, fs::read_to_string(out.join("report.html")).unwrap())
+    };
+    let (text, report) = study("text", &[]);
+    assert!(
+        text.contains("delay = a + b * iterations + c * rays") && text.contains("R²") && !text.contains("contract"),
+        "{text}"
+    );
+    assert!(report.contains("id=\"look_up\"") && report.contains("<th>R²</th>"));
+    let (text, report) = study("both", &["--delta", "20us,80us,5ms", "--json"]);
+    let json: Value = serde_json::from_str(&text).unwrap();
+    let table = &json["look_up_tables"][0];
+    let number = |value: &Value, name: &str| value[name].as_f64().unwrap_or(f64::NAN);
+    // The virtual clock goes on by a tick for each reading: of an iteration, not of a ray.
+    assert!(number(table, "b_us") > 5.0 && number(table, "c_us").abs() < 0.05 && number(table, "r_squared") > 0.9, "{table}");
+    let comparisons = json["comparisons"].as_array().unwrap();
+    assert_eq!((comparisons.len(), number(&json, "runs")), (3, 13.0), "7 cases, and two runs for each delta");
+    let iterations: Vec<f64> = comparisons.iter().map(|c| number(&c["by_table"], "iterations")).collect();
+    assert!(iterations[0].is_nan() && iterations[1] >= 1.0 && iterations[2] > iterations[1], "{iterations:?}");
+    // Not even a prediction takes less than 40 us there.
+    for comparison in &comparisons[1..] {
+        let contract = &comparison["by_contract"];
+        assert!(number(contract, "late") <= 0.05 && number(contract, "position_mean_m") > 0.0, "{comparison}");
+    }
+    assert!(report.contains("contract: iterations") && report.contains("<td>80µs</td>"), "the report has it, too");
+    failure(&["profile", &bag, "--truth", &truth, "--out", "/tmp", "--delta", "0"], 2);
 }
 
 #[test]

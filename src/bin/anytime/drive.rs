@@ -56,9 +56,12 @@ pub(crate) struct Arguments {
     /// What answers cost on the machine: a file of `contract.cost_file` [default: as on the machine of docs/figures.md]
     #[arg(long, value_name = "FILE.yaml")]
     costs: Option<PathBuf>,
-    /// Drives of each case, with seeds from 1
+    /// Drives of each case
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     seeds: u32,
+    /// Seed of the first drive, as to see one again; the others have the next ones
+    #[arg(long, default_value_t = 1)]
+    seed: u32,
     /// Paths per second of a planner that plans again and again; 0: the path is there from the start
     #[arg(long, default_value_t = 0.0)]
     replan: f64,
@@ -125,6 +128,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         replanning: replanning(arguments)?,
         laps: arguments.laps,
         seeds: arguments.seeds,
+        first_seed: arguments.seed,
         policies: arguments.policy.clone(),
         speeds: arguments.speed.clone(),
         loads: loads.collect(),

@@ -19,7 +19,7 @@ use serde_json::json;
 use crate::input_flags::Files;
 use crate::outcome::usage;
 use crate::profile_flags::Arguments;
-use crate::{progress, simulate};
+use crate::{progress, simulate, terminal};
 
 /// Where a simulated drive has its true poses.
 const SIMULATED_TRUTH: &str = "/gt_pose";
@@ -42,12 +42,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         input: Input { bag: &bag, topics: &topics, truth: &truth, map: map.as_ref() },
         config: &config,
         plan: &plan,
+        deltas: &arguments.delta,
         new_clock: &new_clock,
         names: Names { bag: path.display().to_string(), truth: truth_name, clock: input.clock.name().into(), command: command() },
     };
-    let progress = progress::bar(bag.message_count(Some(&topics.all())) * plan.runs() as u64)?;
-    progress.println(format!("{} cases in {} rounds: {} runs", plan.cases.len(), plan.rounds, plan.runs()));
-    study.conduct(out, || progress.inc(1))?;
+    let progress = progress::bar(bag.message_count(Some(&topics.all())) * study.runs() as u64)?;
+    progress.println(format!("{} cases in {} rounds: {} runs", plan.cases.len(), plan.rounds, study.runs()));
+    let results = study.conduct(out, || progress.inc(1))?;
     progress.finish_and_clear();
     let problems: Vec<String> = bag.problems().iter().map(ToString::to_string).collect();
     let [report, profile, summary, runs] = ["report.html", "profile.yaml", "summary.csv", "runs.csv"].map(|name| out.join(name));
@@ -56,14 +57,25 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         .written("profile", Some(&profile))
         .written("summary", Some(&summary))
         .written("runs", Some(&runs));
-    let value = || json!({ "cases": plan.cases.len(), "rounds": plan.rounds, "runs": plan.runs(), "bag_problems": problems });
+    let value = || {
+        let (look_up, comparisons) = results.tables_to_json();
+        json!({
+            "cases": plan.cases.len(),
+            "rounds": plan.rounds,
+            "runs": study.runs(),
+            "look_up_tables": look_up,
+            "comparisons": comparisons,
+            "bag_problems": problems,
+        })
+    };
     let damage = || problems.iter().flat_map(|problem| ["\nwarning: the bag is damaged: ", problem]).collect::<String>();
     let cases = plan.cases.len();
     Ok(files.shown(arguments.json, value, || {
         format!(
-            "{cases} cases in {} rounds: {} runs{}\nwrote the pictures of {}",
+            "{}\n{cases} cases in {} rounds: {} runs{}\nwrote the pictures of {}",
+            results.to_text(terminal::width()),
             plan.rounds,
-            plan.runs(),
+            study.runs(),
             damage(),
             out.display()
         )

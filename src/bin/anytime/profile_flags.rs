@@ -1,7 +1,9 @@
 //! Arguments of `anytime profile`.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
+use anytime_scan_matcher::anytime::contract::Contract;
 use anytime_scan_matcher::knobs::KnobValue;
 use anytime_scan_matcher::profile::knob::Knob;
 use anytime_scan_matcher::profile::plan::Sweep;
@@ -38,6 +40,9 @@ pub(crate) struct Arguments {
     /// Profile the particle filter beside them, on this map, a YAML file of `map_server`; the truth is to be given in its frame
     #[arg(long, value_name = "M.yaml")]
     pub(crate) map: Option<PathBuf>,
+    /// How many iterations fit into such a time (500us) by the look-up table, and how that keeps it beside a contract; several may be given
+    #[arg(long, value_name = "TIME", value_delimiter = ',', value_parser = delta)]
+    pub(crate) delta: Vec<Duration>,
     /// Run each case so often, interleaved with all others
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) rounds: u32,
@@ -51,6 +56,12 @@ pub(crate) struct Arguments {
     pub(crate) input: InputFlags,
     #[command(flatten)]
     pub(crate) simulation: SimulationFlags,
+}
+
+fn delta(text: &str) -> Result<Duration, String> {
+    let seconds = Knob::TimeBudget.parse(text)?;
+    let contract = Contract::new(seconds, 0.0, 0.0).map_err(|problem| problem.to_string())?;
+    contract.time_budget.ok_or_else(|| "expected a time above 0, such as 500us".into())
 }
 
 fn knob_help() -> String {

@@ -10,10 +10,12 @@ use rosrust_msg::anytime_scan_matcher::Contract as ContractMessage;
 
 use super::ContractDemoKnobs;
 use super::adherence::Adherence;
-use super::budget::{BudgetLaw, Schedule};
+use super::asking::Asking;
 use super::csv_file::CsvFile;
+use super::schedule::Schedule;
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
+use crate::control::policy::Policy;
 use crate::messages::Message as _;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::MatchReport;
@@ -58,7 +60,7 @@ pub(super) struct Controller<'a> {
     master: MasterLink<'a>,
     letters: Receiver<(Input, Letter)>,
     contracts: Output<ContractMessage>,
-    law: BudgetLaw,
+    asking: Asking,
     schedule: Schedule,
     /// As last heard, m/s.
     speed: f64,
@@ -72,10 +74,11 @@ pub(super) struct Controller<'a> {
 }
 
 impl<'a> Controller<'a> {
-    pub(super) fn start(ros: &'a Ros, master: &'a Master, knobs: &ContractDemoKnobs) -> Result<Self, NodeError> {
+    pub(super) fn start(ros: &'a Ros, master: &'a Master, policy: Policy, knobs: &ContractDemoKnobs) -> Result<Self, NodeError> {
         let log = Log::new(ros)?;
         let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
-        let law = BudgetLaw::try_from(knobs)?;
+        let in_words = in_words(&policy);
+        let asking = Asking::new(policy, knobs)?;
         let csv = knobs.csv.as_deref().map(|path| CsvFile::create(Path::new(path))).transpose();
         let csv = csv.map_err(|problem| NodeError::Csv { problem })?;
         let contracts = Output::new(ros, "icp_contract")?;
@@ -85,12 +88,7 @@ impl<'a> Controller<'a> {
         let mut roles: Vec<Role> = Input::ALL.map(|input| input.topic().role()).into();
         roles.extend([contracts.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
         let master = MasterLink::new(ros, master, roles, &log)?;
-        log.info(&format!(
-            "gives scans {:?} at rest and {:?} at {} m/s and beyond",
-            Duration::from_secs_f64(knobs.budget_slow.0),
-            Duration::from_secs_f64(knobs.budget_fast.0),
-            knobs.speed_fast,
-        ));
+        log.info(&in_words);
         let reader = Reader::new(&clock, &log);
         Ok(Self {
             ros,
@@ -98,7 +96,7 @@ impl<'a> Controller<'a> {
             master,
             letters,
             contracts,
-            law,
+            asking,
             schedule: Schedule::default(),
             speed: 0.0,
             adherence: Adherence::default(),
@@ -157,7 +155,8 @@ impl<'a> Controller<'a> {
             return self.reader.warn("icp/odom", "the velocity has numbers that are not finite");
         }
         self.speed = speed;
-        let contract = self.law.contract(speed);
+        self.asking.on_stamp(message.header.stamp.into());
+        let contract = self.asking.contract(speed);
         if self.schedule.is_due(contract, self.clock.now()) {
             self.contracts.send(|| contract_message(&contract, &message.header));
         }
@@ -169,6 +168,7 @@ impl<'a> Controller<'a> {
             Ok(contract) => self.schedule.observe(contract),
             Err(error) => return self.reader.warn("icp_report", &error.to_string()),
         }
+        self.asking.set_familiar(report.outside_profile.is_empty());
         self.adherence.on_report(report);
         if let Some(Err(problem)) = self.csv.as_mut().map(|csv| csv.write(report, self.speed)) {
             self.reader.warn("csv", &format!("a row is lost: {problem}"));
@@ -176,12 +176,22 @@ impl<'a> Controller<'a> {
     }
 
     fn report(&mut self, time: Duration) {
-        let budget = self.law.contract(self.speed).time_budget.unwrap_or_default();
+        let budget = self.asking.contract(self.speed).time_budget.map_or_else(|| "none".into(), |time| format!("{time:.2?}"));
         let line = self.adherence.sum_up();
-        self.log.info(&format!("{:.2} m/s, budget {budget:.2?}; in {time:.1?}: {line}", self.speed));
+        self.log.info(&format!("{:.2} m/s, budget {budget}; in {time:.1?}: {line}", self.speed));
         if let Some(problem) = self.adherence.disagreement() {
             self.log.warn(&problem);
         }
+    }
+}
+
+/// What it will do.
+fn in_words(policy: &Policy) -> String {
+    match policy {
+        Policy::BySpeed(rule) => {
+            format!("gives scans {:?} at rest and {:?} at {} m/s and beyond", rule.slow, rule.fast, rule.speed_fast)
+        }
+        policy => format!("gives scans contracts by the policy {policy}"),
     }
 }
 

@@ -1,15 +1,16 @@
-//! A controller that shows the time contract at work: the faster the robot, the less time it gives a scan, and it watches how the
-//! matcher keeps to that.
+//! A controller that shows the time contract at work: it asks for what a policy of [`crate::control::policy`] says, by default the less
+//! time for a scan the faster the robot, and watches how the matcher keeps to that.
 //!
 //! ```text
-//!  icp/odom ---> speed ---> budget ---> schedule ---> icp_contract
+//!  icp/odom ---> speed ---> policy ---> schedule ---> icp_contract
 //!  icp_state, icp_report ---> adherence ---> log, CSV
 //! ```
 
 mod adherence;
-mod budget;
+mod asking;
 mod controller;
 mod csv_file;
+mod schedule;
 
 use rosrust::api::{Master, Ros};
 
@@ -23,12 +24,19 @@ const NAME: &str = "contract_demo";
 crate::knobs! {
     /// What the controller asks for, and what it writes down.
     pub struct ContractDemoKnobs {
+        /// How contracts are chosen, as `anytime drive --policy` has it: `completion`, `fixed:TIME[,METRES]`, `by_speed:TIME,TIME,SPEED`, `table`;
+        /// unset: by speed, as the next three say.
+        policy: Option<String> = None;
         /// Time budget at rest.
         budget_slow: Seconds = Seconds(0.010), in 0.00001 to 60, unit "s";
         /// Time budget at `speed_fast` and beyond; between rest and there it goes down evenly.
         budget_fast: Seconds = Seconds(0.002), in 0.00001 to 60, unit "s";
         /// The speed that calls for the shortest budget.
         speed_fast: f64 = 4.0, in 0.01 to 100, unit "m/s";
+        /// The profile that the policy `table` goes by: a file of `anytime profile`.
+        profile: Option<String> = None;
+        /// The variant of the profile.
+        variant: String = "projective+point_to_line".into();
         /// Error of the position that is good enough; 0: no bound.
         translation_error_bound: f64 = 0.0, in 0 to 100, unit "m";
         /// Error of the heading that is good enough; 0: no bound.
@@ -40,14 +48,6 @@ crate::knobs! {
     }
 }
 
-impl ContractDemoKnobs {
-    /// Whether the budgets fit together.
-    fn check(&self) -> Result<(), String> {
-        let (slow, fast) = (self.budget_slow.0, self.budget_fast.0);
-        if fast <= slow { Ok(()) } else { Err(format!("expected at most budget_slow, {slow}, got {fast}")) }
-    }
-}
-
 /// Runs the node `contract_demo` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
 /// parameters.
 pub fn run() -> Result<(), NodeError> {
@@ -56,7 +56,7 @@ pub fn run() -> Result<(), NodeError> {
 
 fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
     let knobs: ContractDemoKnobs = params::read_group(master, ros.name())?;
-    knobs.check().map_err(|problem| params::refused(ros.name(), "budget_fast", problem))?;
-    Controller::start(ros, master, &knobs)?.run(stop);
+    let policy = asking::policy(&knobs).map_err(|(parameter, problem)| params::refused(ros.name(), parameter, problem))?;
+    Controller::start(ros, master, policy, &knobs)?.run(stop);
     Ok(())
 }

@@ -38,6 +38,10 @@ pub(super) struct Intake {
     /// A path whose frame is not known yet.
     waiting: Option<Path>,
     world: Option<Arc<GridWorld>>,
+    /// The way round the map, until it is known which way the car looks.
+    round: Option<Vec<Waypoint>>,
+    /// Where the car was when last heard of.
+    pose: Option<Pose2>,
 }
 
 impl Intake {
@@ -50,6 +54,8 @@ impl Intake {
             pose_frame: None,
             waiting: None,
             world: None,
+            round: None,
+            pose: None,
         }
     }
 
@@ -69,6 +75,7 @@ impl Intake {
         let twist = &message.twist.twist;
         let is_told = twist.linear.x.is_finite() && (twist.linear.x != 0.0 || twist.angular.z != 0.0);
         self.pose_frame = Some(frame_name(&message.header.frame_id).into());
+        self.pose = Some(pose);
         self.follower.on_pose(PoseReading {
             stamp: message.header.stamp.into(),
             pose,
@@ -134,14 +141,20 @@ impl Intake {
         }
     }
 
-    /// The map to plan on. With `drive_round`, a way round it is the path, older than any that comes.
+    /// The map to plan on. With `drive_round`, a way round it is the path from the first pose on.
     pub(super) fn set_map(&mut self, grid: crate::map::grid::OccupancyGrid) -> Result<Option<Remark>, NoLoop> {
         let world = GridWorld::new(grid);
         let way = if self.knobs.drive_round { Some(way_round(&world)?) } else { None };
         self.world = Some(Arc::new(world));
-        let Some(way) = way else { return Ok(None) };
-        let waypoints: Vec<_> = way.points().iter().map(|&point| Waypoint { point, speed: None }).collect();
-        Ok(self.take(&waypoints, Stamp::default()))
+        self.round = way.map(|way| way.points().iter().map(|&point| Waypoint { point, speed: None }).collect());
+        Ok(self.begin_round())
+    }
+
+    /// Takes the way round, older than any path that comes, as soon as it is known which way the car looks.
+    pub(super) fn begin_round(&mut self) -> Option<Remark> {
+        let pose = self.pose?;
+        let round = in_direction_of(&pose, self.round.take()?);
+        self.take(&round, Stamp::default())
     }
 
     pub(super) fn on_map(&mut self, message: &OccupancyGrid) -> Result<(), String> {
@@ -172,5 +185,34 @@ impl Intake {
             return Some(Pose2::IDENTITY);
         }
         self.transforms.mount(self.frame(), frame).map(|mount| mount.base_from_laser)
+    }
+}
+
+/// A loop is as good either way round: this one the way that the car looks where it is next to it.
+fn in_direction_of(pose: &Pose2, mut round: Vec<Waypoint>) -> Vec<Waypoint> {
+    let distance = |waypoint: &Waypoint| (waypoint.point - pose.translation()).norm();
+    let nearest = (0..round.len()).min_by(|&a, &b| distance(&round[a]).total_cmp(&distance(&round[b]))).unwrap_or(0);
+    let count = round.len().max(1);
+    if let (Some(here), Some(next)) = (round.get(nearest), round.get((nearest + 1) % count)) {
+        let (sin, cos) = pose.theta.sin_cos();
+        if (next.point - here.point).dot(&Point::new(cos, sin)) < 0.0 {
+            round.reverse();
+        }
+    }
+    round
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loop_is_driven_the_way_the_car_looks() {
+        let at = |x: f64, y: f64| Waypoint { point: Point::new(x, y), speed: None };
+        let square = [at(0.0, 0.0), at(4.0, 0.0), at(4.0, 4.0), at(0.0, 4.0)];
+        let first = |pose: Pose2| in_direction_of(&pose, square.to_vec())[0].point;
+        assert_eq!(first(Pose2::new(0.5, 0.1, 0.1)), square[0].point);
+        assert_eq!(first(Pose2::new(0.5, 0.1, 3.0)), square[3].point);
+        assert!(in_direction_of(&Pose2::IDENTITY, Vec::new()).is_empty());
     }
 }

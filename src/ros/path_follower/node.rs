@@ -197,7 +197,11 @@ impl<'a> Node<'a> {
             return self.intake.follower.resume();
         };
         match input {
-            Input::Pose => self.with(letter, "pose", |intake, message| intake.on_pose(&message)),
+            Input::Pose => {
+                self.with(letter, "pose", |intake, message| intake.on_pose(&message));
+                let remark = self.intake.begin_round();
+                self.say(remark);
+            }
             Input::Scan => self.with(letter, "scan", |intake, message| intake.on_scan(&message)),
             Input::Map => self.with(letter, "map", |intake, message| intake.on_map(&message)),
             Input::Transforms | Input::StaticTransforms => {

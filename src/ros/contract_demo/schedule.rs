@@ -1,9 +1,8 @@
-//! From the speed to the contract, and when it is worth a message.
+//! When a contract is worth a message.
 
 use std::time::Duration;
 
-use super::ContractDemoKnobs;
-use crate::anytime::contract::{Contract, ContractError};
+use crate::anytime::contract::Contract;
 
 /// A budget that differs from the one sent by less than this share of it is the same.
 const SAME: f64 = 0.05;
@@ -11,32 +10,6 @@ const SAME: f64 = 0.05;
 const MIN_PERIOD: Duration = Duration::from_millis(100);
 /// Reports that still name another contract after this time: ours was lost, or somebody else's came after it.
 const PATIENCE: Duration = Duration::from_secs(1);
-
-/// The contract for each speed.
-pub(super) struct BudgetLaw {
-    slow: f64,
-    fast: f64,
-    speed_fast: f64,
-    bounds: Contract,
-}
-
-impl TryFrom<&ContractDemoKnobs> for BudgetLaw {
-    type Error = ContractError;
-
-    fn try_from(knobs: &ContractDemoKnobs) -> Result<Self, ContractError> {
-        let bounds = Contract::new(0.0, knobs.translation_error_bound, knobs.rotation_error_bound)?;
-        Ok(Self { slow: knobs.budget_slow.0, fast: knobs.budget_fast.0, speed_fast: knobs.speed_fast, bounds })
-    }
-}
-
-impl BudgetLaw {
-    /// At `speed`, m/s.
-    pub(super) fn contract(&self, speed: f64) -> Contract {
-        let share = (speed.abs() / self.speed_fast).min(1.0);
-        let budget = self.slow + share * (self.fast - self.slow);
-        Contract { time_budget: Some(Duration::from_secs_f64(budget)), ..self.bounds }
-    }
-}
 
 /// Keeps the matcher's contract near the one that is wanted, with few messages.
 #[derive(Default)]
@@ -74,8 +47,9 @@ fn differ(sent: &Contract, wanted: &Contract) -> bool {
 mod tests {
     use super::*;
 
-    fn law() -> BudgetLaw {
-        BudgetLaw::try_from(&ContractDemoKnobs { translation_error_bound: 0.02, ..Default::default() }).unwrap()
+    /// A budget, ms.
+    fn contract(milliseconds: f64) -> Contract {
+        Contract { time_budget: Some(Duration::from_secs_f64(1e-3 * milliseconds)), ..Contract::default() }
     }
 
     fn at(milliseconds: u64) -> Duration {
@@ -83,26 +57,18 @@ mod tests {
     }
 
     #[test]
-    fn the_faster_the_shorter_down_to_the_budget_of_full_speed() {
-        let budget = |speed| law().contract(speed).time_budget.unwrap();
-        assert_eq!([0.0, 2.0, 4.0, 9.0, -2.0].map(budget), [at(10), at(6), at(2), at(2), at(6)]);
-        let contract = law().contract(1.0);
-        assert_eq!((contract.translation_error_bound, contract.rotation_error_bound), (Some(0.02), None));
-    }
-
-    #[test]
     fn small_changes_and_hasty_ones_are_not_sent() {
-        let (law, mut schedule) = (law(), Schedule::default());
-        assert!(schedule.is_due(law.contract(0.0), at(0)), "the first one");
-        assert!(!schedule.is_due(law.contract(0.1), at(5000)), "2 % less");
-        assert!(schedule.is_due(law.contract(1.0), at(5001)));
-        assert!(!schedule.is_due(law.contract(4.0), at(5050)), "too soon");
-        assert!(schedule.is_due(law.contract(4.0), at(5101)));
+        let mut schedule = Schedule::default();
+        assert!(schedule.is_due(contract(10.0), at(0)), "the first one");
+        assert!(!schedule.is_due(contract(9.8), at(5000)), "2 % less");
+        assert!(schedule.is_due(contract(8.0), at(5001)));
+        assert!(!schedule.is_due(contract(2.0), at(5050)), "too soon");
+        assert!(schedule.is_due(contract(2.0), at(5101)));
     }
 
     #[test]
     fn a_contract_that_does_not_come_into_force_is_sent_again() {
-        let (wanted, mut schedule) = (law().contract(1.0), Schedule::default());
+        let (wanted, mut schedule) = (contract(8.0), Schedule::default());
         assert!(schedule.is_due(wanted, at(0)));
         schedule.observe(Contract::default());
         assert!(!schedule.is_due(wanted, at(900)) && schedule.is_due(wanted, at(1000)));

@@ -1,0 +1,99 @@
+//! Two ways to keep a time: as many iterations as the look-up table allows, and a contract, which goes by the learned costs.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::ProfileError;
+use super::cost::Level;
+use super::look_up::{LookUpTable, RaysByIteration, iterations_by_costs};
+use super::run::{Input, Run, run};
+use super::variant::Variant;
+use crate::anytime::clock::Clock;
+use crate::config::Config;
+use crate::evaluation::statistics::percentile;
+
+/// What came of one of the two.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Kept {
+    /// Iterations that fit, as it says.
+    pub iterations: u32,
+    /// Part of the answers that were later.
+    pub late: f64,
+    /// Delay at percentile 99, us.
+    pub p99_us: f64,
+    /// Error of the position, mean, m.
+    pub position_mean_m: f64,
+}
+
+/// Both beside each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Comparison {
+    /// The variant.
+    pub variant: Variant,
+    /// The time that is to be kept.
+    pub delta: Duration,
+    /// By the table; `None` where by it not one iteration fits.
+    pub table: Option<Kept>,
+    /// By a contract.
+    pub contract: Kept,
+}
+
+/// What the two are compared on.
+pub struct Ground<'a> {
+    /// Bag and truth.
+    pub input: Input<'a>,
+    /// What both have in common.
+    pub config: &'a Config,
+    /// Rounds of runs.
+    pub rounds: u32,
+    /// Makes the clock of a run.
+    pub new_clock: &'a dyn Fn() -> Arc<dyn Clock>,
+}
+
+impl Ground<'_> {
+    /// Runs both. `beams`: of a scan.
+    pub fn compare(
+        &self,
+        variant: Variant,
+        delta: Duration,
+        (table, levels, beams): (&LookUpTable, &[Level], usize),
+        on_message: &mut impl FnMut(),
+    ) -> Result<Comparison, ProfileError> {
+        let mut config = self.config.clone();
+        variant.set(&mut config);
+        let rays = RaysByIteration::new(levels, beams as u64);
+        let iterations = table.iterations_for(delta, &rays);
+        config.contract.time_budget.0 = 0.0;
+        let mut limited = config.clone();
+        limited.matching.max_iterations = iterations;
+        config.contract.time_budget.0 = delta.as_secs_f64();
+        let (mut by_table, mut by_contract) = (Vec::new(), Vec::new());
+        for _ in 0..self.rounds {
+            if iterations > 0 {
+                by_table.push(run(self.input, variant, &limited, &(self.new_clock)(), false, &mut *on_message)?);
+            }
+            by_contract.push(run(self.input, variant, &config, &(self.new_clock)(), false, &mut *on_message)?);
+        }
+        let costs = by_contract.last().and_then(|run| run.costs.as_ref());
+        let learned = costs.map_or(0, |costs| iterations_by_costs(costs, delta, &rays));
+        let table = (iterations > 0).then(|| Kept::of(&by_table, iterations, delta));
+        Ok(Comparison { variant, delta, table, contract: Kept::of(&by_contract, learned, delta) })
+    }
+}
+
+impl Kept {
+    fn of(runs: &[Run], iterations: u32, delta: Duration) -> Self {
+        let scans = || runs.iter().flat_map(|run| &run.scans);
+        let mut delays: Vec<f64> = scans().filter_map(|scan| scan.delay_us).collect();
+        delays.sort_by(f64::total_cmp);
+        let delta_us = delta.as_secs_f64() * 1e6;
+        let late = delays.iter().filter(|delay| **delay > delta_us).count();
+        let errors: Vec<f64> = scans().filter_map(|scan| scan.error).map(|error| error.distance()).collect();
+        Self {
+            iterations,
+            late: late as f64 / delays.len().max(1) as f64,
+            p99_us: percentile(&delays, 99).unwrap_or_default(),
+            position_mean_m: errors.iter().sum::<f64>() / errors.len().max(1) as f64,
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! The look-up table and what it is worth beside contracts, as tables for people and for machines.
+
+use std::fmt::Write as _;
+
+use serde_json::{Value, json};
+
+use super::comparison::{Comparison, Kept};
+use super::study::{Results, VariantCost};
+use crate::text_table::TextTable;
+
+/// Columns of the look-up table.
+pub(super) const LOOK_UP: [&str; 5] = ["variant", "a [us]", "b [us/iteration]", "c [ns/ray]", "R²"];
+/// Columns of the comparison.
+pub(super) const COMPARISON: [&str; 10] = [
+    "variant",
+    "delta",
+    "table: iterations",
+    "late [%]",
+    "p99 [us]",
+    "error [mm]",
+    "contract: iterations",
+    "late [%]",
+    "p99 [us]",
+    "error [mm]",
+];
+/// What the look-up table is.
+pub(super) const LOOK_UP_MEANS: &str = "delay = a + b * iterations + c * rays of all of them, by least squares over all answers";
+/// What the comparison is.
+pub(super) const COMPARISON_MEANS: &str = "delta: the time to keep. By the table: every match gets the iterations that fit into it. By a \
+    contract: a time budget of delta, kept by the learned costs; the iterations are those that its costs allow with the contract's \
+    confidence. Late: later than delta. Error: of the position, mean";
+
+/// Rows of the look-up table.
+pub(super) fn look_up_rows(results: &Results) -> impl Iterator<Item = Vec<String>> {
+    results.costs.iter().filter_map(|VariantCost { variant, look_up, .. }| {
+        let table = (*look_up)?;
+        let (b, c) = (table.per_iteration_us, 1e3 * table.per_ray_us);
+        let numbers = [(table.setup_us, 1), (b, 2), (c, 2), (table.r_squared, 3)].map(|(x, digits)| format!("{x:.digits$}"));
+        Some([variant.to_string()].into_iter().chain(numbers).collect())
+    })
+}
+
+/// Rows of the comparison.
+pub(super) fn comparison_rows(results: &Results) -> impl Iterator<Item = Vec<String>> {
+    results.comparisons.iter().map(|Comparison { variant, delta, table, contract }| {
+        let cells = |kept: &Kept| {
+            [
+                kept.iterations.to_string(),
+                format!("{:.2}", 100.0 * kept.late),
+                format!("{:.1}", kept.p99_us),
+                format!("{:.2}", 1e3 * kept.position_mean_m),
+            ]
+        };
+        let by_table = table.as_ref().map_or_else(|| ["0", "-", "-", "-"].map(str::to_owned), cells);
+        [variant.to_string(), format!("{delta:?}")].into_iter().chain(by_table).chain(cells(contract)).collect()
+    })
+}
+
+impl Results {
+    /// The look-up table and, where it was compared with contracts, the comparison. `width`: of the terminal, in characters.
+    pub fn to_text(&self, width: Option<usize>) -> String {
+        let look_up = TextTable::new(&LOOK_UP, look_up_rows(self), 1).render(width);
+        let mut text = format!("{LOOK_UP_MEANS}:\n{look_up}");
+        if !self.comparisons.is_empty() {
+            let comparison = TextTable::new(&COMPARISON, comparison_rows(self), 2).render(width);
+            let _ = write!(text, "\n{COMPARISON_MEANS}:\n{comparison}");
+        }
+        text
+    }
+
+    /// The same for machines: `look_up_tables` and `comparisons`.
+    pub fn tables_to_json(&self) -> (Value, Value) {
+        let look_up = |VariantCost { variant, look_up, .. }: &VariantCost| {
+            let table = (*look_up)?;
+            let (a, b, c) = (table.setup_us, table.per_iteration_us, table.per_ray_us);
+            Some(json!({"variant": variant.to_string(), "a_us": a, "b_us": b, "c_us": c, "r_squared": table.r_squared}))
+        };
+        let kept = |kept: &Kept| {
+            json!({
+                "iterations": kept.iterations,
+                "late": kept.late,
+                "p99_delay_us": kept.p99_us,
+                "position_mean_m": kept.position_mean_m,
+            })
+        };
+        let comparison = |comparison: &Comparison| {
+            json!({
+                "variant": comparison.variant.to_string(),
+                "delta_s": comparison.delta.as_secs_f64(),
+                "by_table": comparison.table.as_ref().map(kept),
+                "by_contract": kept(&comparison.contract),
+            })
+        };
+        (self.costs.iter().filter_map(look_up).collect(), self.comparisons.iter().map(comparison).collect())
+    }
+}
