@@ -12,12 +12,13 @@ use super::live_params::{Change, ParameterWatch};
 use super::log::Log;
 use super::mailbox::{Event, Mailbox};
 use super::master::{MasterLink, resolved};
-use super::matcher::{Matcher, Shared};
+use super::matcher::Matcher;
 use super::publishers::Publishers;
 use super::shutdown::StopSignal;
-use super::subscriptions::{Input, subscribe};
+use super::subscriptions::Input;
 use super::supervisor::{self, Parts, Supervisor};
 use super::transform_output::TransformOutput;
+use super::worker::{NodeInput as _, Shared, Worker, subscribe};
 use super::{NodeError, params, services, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
@@ -94,11 +95,11 @@ fn start<'a>(
         interrupts: Arc::clone(&interrupts),
         clock: Arc::clone(&clock),
         monitor: Arc::clone(&monitor),
-        replies,
         log: log.clone(),
+        takes_clouds: config.cloud.input,
     };
-    let matcher = Matcher::new(app, publishers, shared);
-    let worker = supervisor::spawn("matching", || matcher.run())?;
+    let matcher = Matcher::new(app, publishers, replies);
+    let worker = supervisor::spawn("matching", || Worker::new(matcher, shared).run(None))?;
     let links = Links::new(ros, &clock, log)?;
     face.inputs.iter().try_for_each(|&input| subscribe(&links, input, &mailbox, &interrupts))?;
     Ok(Parts { clock, mailbox, monitor, diagnostics, worker, links, services, roles })
