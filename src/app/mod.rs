@@ -24,6 +24,7 @@ use crate::config::{Config, FrameKnobs};
 use crate::geometry::{Pose2, Twist2};
 use crate::io::cost_file::{self, CostFileError};
 use crate::io::profile_file::{ExpectedError, Profile, ProfileFileError, VariantProfile};
+use crate::mapping::{Passage, Sighting};
 use crate::matching::IterationTrace;
 use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
 use crate::messages::nav_msgs::Odometry;
@@ -32,7 +33,7 @@ use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::WheelSample;
-use crate::odometry::{Failure, FailureReason, LaserOdometry, MatchedPoints, OdometryCounters, Registration};
+use crate::odometry::{Failure, FailureReason, LaserOdometry, MatchedPoints, OdometryCounters, Outcome, Registration};
 use crate::scan::Scan;
 use crate::time::Stamp;
 use crate::transforms::{Mount, TransformTree};
@@ -132,6 +133,16 @@ impl Estimate {
     /// Whether the answer is within the time budget; without one it always is.
     pub fn deadline_met(&self) -> bool {
         self.overrun().is_zero()
+    }
+
+    /// How the robot came here; `None` where the scan was malformed, or one that had been answered before.
+    pub fn passage(&self) -> Option<Passage> {
+        match &self.registration.outcome {
+            Outcome::First => Some(Passage::Start),
+            Outcome::Matched => Some(Passage::Known),
+            // Where no match was tried there was no scan to match.
+            Outcome::Predicted(_) => self.registration.refinement.map(|_| Passage::Lost),
+        }
     }
 
     /// How much later than asked for the answer is.
@@ -282,6 +293,14 @@ impl App {
         let mount = self.intake.mount;
         let cloud = self.intake.config.cloud.clone();
         message.scan(self.intake.converter(), &cloud, &mount)
+    }
+
+    /// What a scan that has just been answered is to a map, and the scan as it was measured; `None` where it could not be used.
+    pub fn sighting(&mut self, message: &Sensed, estimate: &Estimate) -> Option<(Sighting, Scan)> {
+        let passage = estimate.passage()?;
+        let measured = self.scan(message)?;
+        let (odom_from_base, base_from_laser) = (estimate.registration.odom_from_base, self.intake.mount.base_from_laser);
+        Some((Sighting { scan: self.undistorted(measured.clone()), odom_from_base, base_from_laser, passage }, measured))
     }
 
     /// That scan as the laser would have seen it at its stamp.

@@ -8,6 +8,7 @@ use super::diagnostics::{IMU_DISBELIEVED, ODOMETRY_DISBELIEVED, TRANSFORM_WITHHE
 use super::inlet::Letter;
 use super::live_params::MatchingChange;
 use super::mailbox::{Event, NextScan};
+use super::mapper::MapFeed;
 use super::priority::let_writers_go_first;
 use super::publishers::Publishers;
 use super::services::Reply;
@@ -31,11 +32,13 @@ pub(super) struct Matcher {
     publishers: Publishers,
     /// Takes what came of calls of services.
     replies: Sender<Reply>,
+    /// Where answers go that a map is made of.
+    map: Option<MapFeed>,
 }
 
 impl Matcher {
-    pub(super) fn new(app: App, publishers: Publishers, replies: Sender<Reply>) -> Self {
-        Self { app, publishers, replies }
+    pub(super) fn new(app: App, publishers: Publishers, replies: Sender<Reply>, map: Option<MapFeed>) -> Self {
+        Self { app, publishers, replies, map }
     }
 
     fn hear(&mut self, input: Input, letter: &Letter, desk: &mut Desk) {
@@ -148,8 +151,11 @@ impl Estimator for Matcher {
     fn answer(&mut self, scan: &Sensed, arrival: Duration, desk: &mut Desk) {
         desk.urgency.set(self.app.contract().time_budget.is_some());
         self.app.set_keep_matched_points(self.publishers.wants_matched_points());
-        let publishers = &mut self.publishers;
+        let (publishers, map) = (&mut self.publishers, &mut self.map);
         let mut answered = self.app.answer(scan, arrival, |app, estimate| {
+            if let Some(map) = map {
+                map.place(estimate);
+            }
             publishers.publish_pose(&Answer { estimate, number: number(app), frames: &app.config().frames });
         });
         let (app, estimate) = answered.parts();
@@ -160,6 +166,9 @@ impl Estimator for Matcher {
         publishers.publish_details(&answer, app.odometry_counters(), desk.mailbox.dropped().scans);
         publishers.publish_display(&answer, app.matched_points(), now);
         let_writers_go_first();
+        if let Some(map) = map {
+            map.send(scan, estimate, app);
+        }
         let estimate = answered.maintain(&NextScan(&desk.mailbox));
         desk.tell(self.app.take_remarks());
         self.watch(&estimate, desk);

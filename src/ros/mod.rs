@@ -23,6 +23,7 @@ mod links;
 mod live_params;
 mod log;
 mod mailbox;
+pub mod mapper;
 mod master;
 mod matcher;
 mod node;
