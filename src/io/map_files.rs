@@ -11,14 +11,15 @@ use crate::output::OutputFile;
 
 /// A file that cannot be written.
 #[derive(Debug, Error)]
-#[error("cannot write {}: {error}", .path.display())]
+#[error("cannot {action} {}: {error}", .path.display())]
 pub struct MapFilesError {
+    action: &'static str,
     path: PathBuf,
     error: io::Error,
 }
 
-fn failed(path: &Path) -> impl FnOnce(io::Error) -> MapFilesError {
-    |error| MapFilesError { path: path.into(), error }
+fn failed(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> MapFilesError {
+    move |error| MapFilesError { action, path: path.into(), error }
 }
 
 /// What the files are called.
@@ -58,7 +59,7 @@ pub struct MapFiles {
 impl MapFiles {
     /// Begins them: a folder that cannot be written to is told at once.
     pub fn create(paths: MapPaths) -> Result<Self, MapFilesError> {
-        let create = |path: &Path| OutputFile::create(path).map_err(failed(path));
+        let create = |path: &Path| OutputFile::create(path).map_err(failed("create", path));
         let [yaml, image, graph] = [create(&paths.yaml)?, create(&paths.image)?, create(&paths.graph)?];
         Ok(Self { paths, yaml, image, graph })
     }
@@ -66,15 +67,15 @@ impl MapFiles {
     /// Writes a map and the bytes of its graph.
     pub fn write(&mut self, map: &OccupancyGrid, graph: &[u8]) -> Result<(), MapFilesError> {
         let image = &self.paths.image;
-        map_file::write(map, image, &mut self.yaml, &mut self.image).map_err(failed(image))?;
-        self.graph.write_all(graph).map_err(failed(&self.paths.graph))
+        map_file::write(map, image, &mut self.yaml, &mut self.image).map_err(failed("write", image))?;
+        self.graph.write_all(graph).map_err(failed("write", &self.paths.graph))
     }
 
     /// The files are whole: moves them to their places.
     pub fn commit(&mut self) -> Result<(), MapFilesError> {
         let MapPaths { yaml, image, graph } = &self.paths;
         for (file, path) in [(&mut self.graph, graph), (&mut self.image, image), (&mut self.yaml, yaml)] {
-            file.commit().map_err(failed(path))?;
+            file.commit().map_err(failed("put in its place", path))?;
         }
         Ok(())
     }

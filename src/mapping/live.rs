@@ -44,8 +44,8 @@ const FIRST_JOIN: f64 = 6.0;
 /// From one look for the robot in its own scans to the next, keyframes.
 const SELF_HIT_PERIOD: usize = 25;
 
-/// Where, and which way the laser looked.
-type Place = (i64, i64, i64);
+/// Of which run, where, and which way the laser looked.
+type Place = (usize, i64, i64, i64);
 
 /// A map of what is seen while the robot drives.
 pub struct LiveMap {
@@ -64,8 +64,8 @@ pub struct LiveMap {
     next_look: f64,
     /// The first keyframe that has not looked.
     unlooked: usize,
-    /// The whole path is to look again.
-    has_news: bool,
+    /// Index of the window that the whole path is to look through again; past the end: none.
+    window: usize,
     /// Way of the run at which its place on the map is looked for.
     next_join: f64,
     /// The first scan that may not be in its place in the grid.
@@ -90,7 +90,7 @@ impl LiveMap {
             oldest_recent: 0,
             next_look: LOOK,
             unlooked: 0,
-            has_news: false,
+            window: WINDOWS.len(),
             next_join: f64::INFINITY,
             next_scan: 0,
             has_changed: false,
@@ -107,12 +107,12 @@ impl LiveMap {
         let rays = sighting.scan.len();
         let many = (rays as f64 / FEW_RAYS as f64).max(1.0);
         self.mapper.drawn_spacing = Spacing { distance: many * Spacing::DRAWN.distance, angle: many * Spacing::DRAWN.angle };
+        self.runs += usize::from(is_start);
         let (before, is_first) = (self.mapper.drawn.len(), self.mapper.keyframes.is_empty());
         let is_keyframe = self.mapper.add(sighting);
         self.mapper.steps.drain(..self.mapper.steps.len().saturating_sub(1)); // nobody asks for the whole path
         (before..self.mapper.drawn.len()).for_each(|scan| self.keep(scan));
         if is_start {
-            self.runs += 1;
             self.next_join = if is_first { f64::INFINITY } else { self.way() + FIRST_JOIN };
         }
         if is_keyframe {
@@ -133,7 +133,7 @@ impl LiveMap {
         let step = self.mapper.drawn[scan].step;
         let map_from_laser = self.mapper.placer().place(&step, &step.odom_from_laser);
         mask_out(&mut self.mapper.drawn[scan].points, &self.mask);
-        let scans = self.scans.entry(place(&map_from_laser, PLACE, 4)).or_default();
+        let scans = self.scans.entry(place(self.runs, &map_from_laser, PLACE, 4)).or_default();
         scans.push_back(scan);
         if scans.len() > SCANS_KEPT
             && let Some(oldest) = scans.pop_front()
@@ -151,7 +151,8 @@ impl LiveMap {
     fn let_old_views_go(&mut self) {
         let recent = self.way() - RECENT;
         while self.mapper.keyframes[self.oldest_recent].way < recent {
-            let place = place(&self.mapper.graph.poses()[self.oldest_recent], 2.0 * PLACE, 8);
+            let run = self.mapper.keyframes[self.oldest_recent].run;
+            let place = place(run, &self.mapper.graph.poses()[self.oldest_recent], 2.0 * PLACE, 8);
             let views = self.views.entry(place).or_default();
             if *views < VIEWS_KEPT {
                 *views += 1;
@@ -191,7 +192,7 @@ impl LiveMap {
             if self.mapper.unplaced_runs() == 0 {
                 self.next_join = f64::INFINITY;
             } else if self.mapper.join_runs() {
-                (self.next_scan, self.has_news) = (0, true);
+                (self.next_scan, self.window) = (0, 0);
             }
         }
         if self.way() < self.next_look {
@@ -207,7 +208,7 @@ impl LiveMap {
             self.next_scan = 0;
         }
         if is_beyond(NEWS, NEWS_TURN) {
-            (self.has_news, self.mapper.window) = (true, 0);
+            self.window = 0;
         }
     }
 
@@ -217,11 +218,22 @@ impl LiveMap {
         if self.draw(scans) {
             return true;
         }
-        if self.has_news {
-            self.has_news = self.mapper.improve();
+        let has_news = self.improve();
+        if has_news {
             self.next_scan = 0;
         }
-        self.has_news
+        has_news
+    }
+
+    /// A look over the whole path, if there are news; answers whether there were.
+    fn improve(&mut self) -> bool {
+        let has_news = self.window < WINDOWS.len();
+        if has_news {
+            self.mapper.window = self.window;
+            self.mapper.improve();
+            self.window = self.mapper.window;
+        }
+        has_news
     }
 
     /// Draws some scans that are not where they belong; answers whether there are more.
@@ -261,12 +273,14 @@ impl LiveMap {
         (a.translation() - b.translation()).norm() < most && wrap_angle(a.theta - b.theta).abs() * LEVER < most
     }
 
-    /// Does all the work that is left, whatever time it takes.
+    /// Does all the work that is left, whatever time it takes, and draws the grid anew: now every scan is where the graph says.
     pub fn settle(&mut self) {
-        while self.has_news {
-            self.has_news = self.mapper.improve();
-        }
+        while self.improve() {}
         self.mapper.graph.optimize(FINALLY);
+        self.grid = EvidenceGrid::new(self.resolution);
+        for drawn in &mut self.mapper.drawn {
+            drawn.at = None;
+        }
         self.next_scan = 0;
         while self.draw(usize::MAX) {}
     }
@@ -321,10 +335,10 @@ impl Mapper {
 }
 
 #[allow(clippy::cast_possible_truncation)] // saturates
-fn place(pose: &Pose2, side: f64, directions: i64) -> Place {
+fn place(run: usize, pose: &Pose2, side: f64, directions: i64) -> Place {
     let part = std::f64::consts::TAU / directions as f64;
     let cell = |x: f64| (x / side).floor() as i64;
-    (cell(pose.x), cell(pose.y), ((pose.theta / part).round() as i64).rem_euclid(directions))
+    (run, cell(pose.x), cell(pose.y), ((pose.theta / part).round() as i64).rem_euclid(directions))
 }
 
 #[allow(clippy::cast_possible_truncation)]

@@ -105,7 +105,7 @@ fn loops_put_the_map_right_while_the_odometry_drifts() {
 fn of_a_place_only_so_much_is_kept_and_the_same_drive_makes_the_same_map() {
     let seen = drive(75.0);
     let (mut a, mut b) = (live(&seen), live(&seen));
-    assert_eq!(a.changed_grid().map(cells), b.changed_grid().map(cells));
+    assert!(a.changed_grid().map(cells) == b.changed_grid().map(cells));
     assert!(a.changed_grid().is_none(), "nothing has changed since");
     let keyframes = a.mapper().keyframes();
     let kept = keyframes.iter().filter(|keyframe| keyframe.view.is_some()).count();
@@ -116,7 +116,7 @@ fn of_a_place_only_so_much_is_kept_and_the_same_drive_makes_the_same_map() {
     let bytes = a.mapper().to_bytes();
     let mut read = Mapper::from_bytes(&bytes, &config.matching, &config.rejection).unwrap();
     assert_eq!(read.to_bytes(), bytes);
-    assert_eq!(cells(&read.grid(0.05)), cells(a.grid()));
+    assert!(cells(&read.grid(0.05)) == cells(a.grid()));
     read.finish();
 }
 
