@@ -29,8 +29,6 @@ const NEWS_TURN: f64 = 0.02;
 const FEW_RAYS: usize = 361;
 /// Side of a place that scans are kept of, m.
 const PLACE: f64 = 0.5;
-/// Scans kept of it, of each quarter that the laser looked to: those of one drive through it.
-const SCANS_KEPT: usize = 10;
 /// Keyframes of a place are told apart by the eighth that the laser looked to; so many are kept with what they saw.
 const VIEWS_KEPT: usize = 3;
 /// The last keyframes are kept for what comes next: over this way, m.
@@ -129,13 +127,16 @@ impl LiveMap {
     }
 
     /// Notes a scan for its place; the oldest one there may go for it.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // ten at most
     fn keep(&mut self, scan: usize) {
         let step = self.mapper.drawn[scan].step;
         let map_from_laser = self.mapper.placer().place(&step, &step.odom_from_laser);
         mask_out(&mut self.mapper.drawn[scan].points, &self.mask);
+        // Of each quarter that the laser looked to: those of one drive through it.
+        let kept = (PLACE / self.mapper.drawn_spacing.distance).ceil() as usize;
         let scans = self.scans.entry(place(self.runs, &map_from_laser, PLACE, 4)).or_default();
         scans.push_back(scan);
-        if scans.len() > SCANS_KEPT
+        if scans.len() > kept
             && let Some(oldest) = scans.pop_front()
         {
             let Drawn { points, at, .. } = &mut self.mapper.drawn[oldest];
@@ -158,6 +159,7 @@ impl LiveMap {
                 *views += 1;
             } else {
                 self.mapper.keyframes[self.oldest_recent].view = None;
+                self.mapper.loops.forget(self.oldest_recent);
             }
             self.oldest_recent += 1;
         }
@@ -327,7 +329,9 @@ impl Mapper {
             let worst = errors.fold(Pose2::IDENTITY, |worst, error| {
                 Pose2::new(worst.x.max(error.distance()), 0.0, worst.theta.max(error.theta.abs()))
             });
-            found.into_iter().for_each(|edge| self.graph.add_edge(edge));
+            for edge in found {
+                self.graph.add_edge(edge);
+            }
             return worst;
         }
         Pose2::IDENTITY

@@ -62,7 +62,7 @@ const LEAST_WEIGHT: f64 = 0.25;
 /// Looks for places of earlier; remembers what it has tried.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LoopSearch {
-    /// By pair of keyframes: the guess of the last try, and what it has come to.
+    /// By later and earlier keyframe: the guess of the last try, and what it has come to.
     tried: BTreeMap<(usize, usize), (Pose2, Option<Match>)>,
     /// The earlier keyframes of the loop edges, by the later ones.
     begun: BTreeMap<usize, Vec<usize>>,
@@ -120,6 +120,14 @@ impl LoopSearch {
             start = end;
         }
         found
+    }
+
+    /// Forgets what was tried for a keyframe that lets go of what it saw.
+    pub(super) fn forget(&mut self, later: usize) {
+        let tried: Vec<usize> = self.tried.range((later, 0)..(later + 1, 0)).map(|(&(_, earlier), _)| earlier).collect();
+        for earlier in tried {
+            self.tried.remove(&(later, earlier));
+        }
     }
 
     /// Matches keyframes to the nearest ones of other visits, where these can only be where they seem to be.
@@ -213,7 +221,7 @@ impl LoopSearch {
         guess: Pose2,
         window: SearchWindow,
     ) -> Option<Match> {
-        if let Some((tried, made)) = self.tried.get(&(earlier, later)) {
+        if let Some((tried, made)) = self.tried.get(&(later, earlier)) {
             let moved = tried.between(&guess);
             if moved.distance() < NEWS && moved.theta.abs() < NEWS {
                 return *made;
@@ -222,7 +230,7 @@ impl LoopSearch {
         let [of_earlier, of_later] = [earlier, later].map(|k| stretch.keyframes[k].view.as_ref());
         let made = matcher.compare(of_earlier?, of_later?, FirstGuess { window, ..guess.into() });
         let made = made.filter(|made| made.overlap >= OVERLAP);
-        self.tried.insert((earlier, later), (guess, made));
+        self.tried.insert((later, earlier), (guess, made));
         made
     }
 }

@@ -11,7 +11,7 @@ use anytime_scan_matcher::app::sensed::Sensed;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::knobs::Seconds;
-use anytime_scan_matcher::mapping::LiveMap;
+use anytime_scan_matcher::mapping::{EvidenceGrid, LiveMap};
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
@@ -28,7 +28,7 @@ fn a_map_costs_little_of_a_core_while_it_grows() {
     (settings.lidar.beams, settings.lidar.rate) = (1080, 40.0);
     let mut config = Config::default();
     // As the node has it.
-    (config.odometry.close_loops, config.odometry.max_keyframes) = (false, 200);
+    (config.odometry.close_loops, config.odometry.max_keyframes) = (false, 100);
     let mut app = App::new(&config, Arc::new(MonotonicClock::default())).unwrap();
     let mut map = LiveMap::new(&config.matching, &config.rejection, 0.05);
     let (mut matching, mut adding, mut working, mut drawing, mut worst) = <[Duration; 5]>::default().into();
@@ -65,7 +65,7 @@ fn a_map_costs_little_of_a_core_while_it_grows() {
                 worst = worst.max(begun.elapsed());
                 if scans.is_multiple_of(40) {
                     let begun = Instant::now();
-                    drop(map.changed_grid().and_then(|grid| grid.to_map()));
+                    drop(map.changed_grid().and_then(EvidenceGrid::to_map));
                     drawing += begun.elapsed();
                 }
             }

@@ -40,7 +40,7 @@ const NAME: &str = "mapper";
 /// Scans that may wait for the mapping thread: some seconds of a fast laser's, while a great loop is closed.
 const CAPACITY: usize = 256;
 /// Keyframes of the matcher's own: more than it matches to, as it closes no loops.
-const OWN_KEYFRAMES: u32 = 200;
+const OWN_KEYFRAMES: u32 = 100;
 
 /// Runs the node `mapper` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and parameters.
 pub fn run() -> Result<(), NodeError> {
