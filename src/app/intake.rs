@@ -6,6 +6,7 @@ use std::time::Duration;
 use nalgebra::{Isometry3, Vector3};
 use thiserror::Error;
 
+use super::sensed::Sensed;
 use super::{InputError, MountSource, planar_pose, planar_twist};
 use crate::anytime::Task;
 use crate::anytime::clock::Clock;
@@ -101,9 +102,9 @@ impl Intake {
         Ok(cloud::scan(message, &self.config.cloud, &self.mount.level_from_laser)?.masked(self.converter.mask())?)
     }
 
-    /// What scans are read by.
-    pub(super) fn converter(&mut self) -> &mut ScanConverter {
-        &mut self.converter
+    /// The scan of a message that has been read before.
+    pub(super) fn scan_again(&mut self, message: &Sensed) -> Option<Scan> {
+        message.scan(&mut self.converter, &self.config.cloud, &self.mount)
     }
 
     /// Takes the time of an answer that has been handed over: from the scan's `arrival`. Where the work on it was over when the clock read

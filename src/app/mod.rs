@@ -290,9 +290,7 @@ impl App {
 
     /// The scan of a message that has just been answered; `None` where it is malformed.
     pub fn scan(&mut self, message: &Sensed) -> Option<Scan> {
-        let mount = self.intake.mount;
-        let cloud = self.intake.config.cloud.clone();
-        message.scan(self.intake.converter(), &cloud, &mount)
+        self.intake.scan_again(message)
     }
 
     /// What a scan that has just been answered is to a map, and the scan as it was measured; `None` where it could not be used.
