@@ -134,6 +134,7 @@ impl Matcher {
 
 impl Estimator for Matcher {
     type Input = Input;
+    const WAKES_AT_ONCE: bool = true;
 
     fn handle(&mut self, event: Event<Input>, desk: &mut Desk) {
         match event {

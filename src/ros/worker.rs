@@ -144,6 +144,8 @@ impl<I> Desk<I> {
 pub(super) trait Estimator {
     /// What it hears.
     type Input: NodeInput;
+    /// Whether a scan is to wake the thread at once, before all programs of normal priority; else what came with it is heard first.
+    const WAKES_AT_ONCE: bool;
 
     /// Before anything else, in the thread that works.
     fn begin(&mut self, _: &mut Desk<Self::Input>) {}
@@ -202,7 +204,7 @@ impl<E: Estimator> Worker<E> {
                     None => {}
                 }
             }
-            self.desk.urgency.set(true); // the next scan is to wake this thread at once
+            self.desk.urgency.set(E::WAKES_AT_ONCE);
         }
         self.estimator.end(&self.desk);
     }

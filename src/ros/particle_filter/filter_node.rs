@@ -69,7 +69,6 @@ impl FilterNode {
 
     /// A map that comes again, as a latched one does, changes nothing.
     fn set_map(&mut self, map: OccupancyGrid, desk: &mut Desk) {
-        desk.urgency.set(false); // what is made of a map takes its time
         if self.localizer.as_ref().is_some_and(|localizer| *localizer.filter().map() == map) {
             return;
         }
@@ -175,6 +174,8 @@ impl FilterNode {
 
 impl Estimator for FilterNode {
     type Input = Input;
+    // A scan is of most use with the odometry of its time, which comes on another connection.
+    const WAKES_AT_ONCE: bool = false;
 
     fn begin(&mut self, desk: &mut Desk) {
         desk.monitor.set_condition(NO_MAP, true);
