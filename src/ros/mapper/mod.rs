@@ -53,9 +53,11 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError>
     config.odometry.close_loops = false;
     config.odometry.max_keyframes = config.odometry.max_keyframes.min(OWN_KEYFRAMES);
     let face = Face::native(&config);
-    node::serve(ros, master, stop, &config, &face, |clock, monitor, log| {
-        Mapping::start(ros, &config, clock, monitor, log).map(Some)
-    })
+    stop.hold(config.mapping.save_on_exit);
+    let mapping = |clock: &_, monitor: &_, log: &_| Mapping::start(ros, &config, clock, monitor, log).map(Some);
+    let outcome = node::serve(ros, master, stop, &config, &face, mapping);
+    stop.hold(false);
+    outcome
 }
 
 /// A name leads to no other folder.
