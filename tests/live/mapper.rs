@@ -94,8 +94,8 @@ fn is_odometry_smooth(bag: &Path) -> bool {
     let pose = |odometry: Odometry| (Stamp::from(odometry.header.stamp), planar_pose(&odometry.pose.pose).unwrap());
     let poses: Vec<(Stamp, Pose2)> =
         bag.messages(Some(&["/icp/odom"])).map(|message| pose(message.unwrap().decode().unwrap())).collect();
-    let is_possible = |[a, b]: &[(Stamp, Pose2); 2]| a.1.between(&b.1).distance() < 5.0 * b.0.seconds_since(a.0) + 0.1;
-    poses.len() > 50 && poses.array_windows().all(is_possible)
+    let is_possible = |a: &(Stamp, Pose2), b: &(Stamp, Pose2)| a.1.between(&b.1).distance() < 5.0 * b.0.seconds_since(a.0) + 0.1;
+    poses.len() > 50 && poses.windows(2).all(|pair| is_possible(&pair[0], &pair[1]))
 }
 
 /// When each map was recorded, s, and how much of it was known.
