@@ -10,11 +10,15 @@ use anytime_scan_matcher::app::App;
 use anytime_scan_matcher::app::sensed::Sensed;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::knobs::Seconds;
-use anytime_scan_matcher::mapping::{EvidenceGrid, LiveMap};
+use anytime_scan_matcher::mapping::{EvidenceGrid, LiveMap, Mapper};
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
+
+use crate::common::shared;
 
 /// Scans drawn at once, as the node does.
 const PORTION: usize = 16;
@@ -95,4 +99,38 @@ fn a_map_costs_little_of_a_core_while_it_grows() {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     println!("{:?}", status.lines().find(|line| line.starts_with("VmRSS")));
     assert!(error(map_from_odom * odom).distance() < 0.1);
+}
+
+/// A real log, scan by scan, against the map that is made of it afterwards.
+#[test]
+fn a_real_log_becomes_the_same_map_as_afterwards() {
+    let Some(path) = shared("data/intel/intel.bag") else { return };
+    let mut config = Config::default();
+    (config.odometry.close_loops, config.odometry.max_keyframes) = (false, 100);
+    let mut app = App::new(&config, Arc::new(MonotonicClock::default())).unwrap();
+    let mut map = LiveMap::new(&config.matching, &config.rejection, 0.05);
+    let mut afterwards = Mapper::new(&config.matching, &config.rejection);
+    let bag = Bag::open(&path).unwrap();
+    for message in bag.messages(None).map(Result::unwrap) {
+        if message.connection.topic == "/odom" {
+            app.on_odometry(&message.decode().unwrap()).unwrap();
+            continue;
+        }
+        let scan: LaserScan = message.decode().unwrap();
+        let estimate = app.on_scan(&scan, Duration::ZERO);
+        let seen = app.sighting(&Sensed::Scan(scan), &estimate);
+        app.maintain(&Never);
+        let Some((sighting, measured)) = seen else { continue };
+        afterwards.add(sighting.clone());
+        map.add(sighting, &measured);
+        map.work(PORTION);
+    }
+    map.settle();
+    afterwards.finish();
+    let poses = |mapper: &Mapper| mapper.graph().poses().to_vec();
+    let (live, after) = (poses(map.mapper()), poses(&afterwards));
+    let apart: Vec<f64> = live.iter().zip(&after).map(|(a, b)| (a.translation() - b.translation()).norm()).collect();
+    let worst = apart.iter().copied().fold(0.0, f64::max);
+    println!("{} keyframes, at most {worst:.3} m apart; {:?} {:?}", live.len(), map.mapper().progress(), afterwards.progress());
+    assert!(live.len() == after.len() && worst < 0.3, "{worst}");
 }
