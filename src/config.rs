@@ -15,6 +15,7 @@ use crate::knobs::{KnobGroup, KnobInfo, Value, nearest_name, nearest_names};
 use crate::localization::LocalizationKnobs;
 use crate::localization::motion::MotionKnobs;
 use crate::localization::sensor::SensorKnobs;
+use crate::mapping::MappingKnobs;
 use crate::matching::MatchingKnobs;
 use crate::matching::rejection::RejectionKnobs;
 use crate::odometry::OdometryKnobs;
@@ -34,7 +35,7 @@ crate::knobs! {
         /// The particle filter: the same from `map_frame` to `odom_frame`.
         publish_tf: bool = true;
         /// The scan matcher: publish the transform from `map_frame` to `odom_frame`; held back while another node publishes a parent of
-        /// `odom_frame`, or odometry of its own in it.
+        /// `odom_frame`, or odometry of its own in it. The mapper: the same.
         publish_map_tf: bool = true;
         /// Predict from what another node's transforms say of `base_frame` in this frame, rather than from anything else; unset: do not.
         prediction_frame: Option<String> = None;
@@ -116,10 +117,12 @@ pub struct Config {
     pub motion: MotionKnobs,
     /// `localization.sensor.*`
     pub sensor: SensorKnobs,
+    /// `mapping.*`
+    pub mapping: MappingKnobs,
 }
 
 impl Config {
-    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 10] {
+    fn groups(&self) -> [(&'static str, &dyn KnobGroup); 11] {
         [
             ("", &self.frames),
             ("contract", &self.contract),
@@ -131,6 +134,7 @@ impl Config {
             ("localization", &self.localization),
             ("localization.motion", &self.motion),
             ("localization.sensor", &self.sensor),
+            ("mapping", &self.mapping),
         ]
     }
 
@@ -146,6 +150,7 @@ impl Config {
             "localization" => Some(&mut self.localization),
             "localization.motion" => Some(&mut self.motion),
             "localization.sensor" => Some(&mut self.sensor),
+            "mapping" => Some(&mut self.mapping),
             _ => None,
         }
     }

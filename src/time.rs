@@ -4,6 +4,9 @@ use std::fmt;
 
 const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
 
+/// Stamps that go back farther than this start a new run (a bag played in a loop); less is a message out of order, s.
+pub const NEW_RUN: f64 = 1.0;
+
 /// The absolute time of a measurement, in nanoseconds since the epoch of its clock (wall, simulation or bag).
 ///
 /// Kept as an integer: at today's epoch seconds an `f64` resolves 0.24 microseconds only, and stamps must leave as they came.

@@ -6,14 +6,13 @@ use std::time::Duration;
 use thiserror::Error;
 
 use super::initial_pose::InitialPose;
+use super::intake::{Intake, Unusable};
 use super::sensed::Sensed;
-use super::{InputError, MountSource, intake, planar_pose};
+use super::{InputError, MountSource, planar_pose};
 use crate::anytime::clock::Clock;
 use crate::anytime::contract::{Contract, ContractError};
-use crate::anytime::cost_model::{CostModel, Phase};
 use crate::anytime::interrupt::{Interrupt, Never};
 use crate::anytime::{Driver, Task};
-use crate::cloud::{self, CloudError};
 use crate::config::Config;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::localization::filter::{Belief, ParticleFilter};
@@ -23,18 +22,16 @@ use crate::matching::StopReason;
 use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own;
-use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
+use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::WheelOdometry;
-use crate::scan::{Scan, ScanConverter, ScanError};
-use crate::time::Stamp;
-use crate::transforms::{Mount, TiltedMount, TransformTree, frame_name};
+use crate::scan::Scan;
+use crate::time::{NEW_RUN, Stamp};
+use crate::transforms::{Mount, TransformTree, frame_name};
 
 /// Over a longer time than this the last velocity says nothing, s.
 const LONGEST_GUESS: f64 = 0.5;
-/// Stamps that go back by more than this are no disorder: time has begun anew, as a bag that is played again, s.
-const NEW_TIME: f64 = 2.0;
 /// Scans of the practice before the first one, for each of some numbers of particles.
 const PRACTICE_SCANS: usize = 6;
 
@@ -55,15 +52,9 @@ pub enum LocalizerError {
 /// A scan that cannot be used as evidence. The belief stays as it was.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum NoEvidence {
-    /// The message is malformed.
-    #[error("malformed scan: {0}")]
-    Malformed(#[from] ScanError),
-    /// The cloud is malformed, or holds nothing at the right height.
-    #[error("malformed scan: {0}")]
-    MalformedCloud(#[from] CloudError),
-    /// The laser does not look along the floor.
+    /// It cannot be used at all.
     #[error(transparent)]
-    Tilted(#[from] TiltedMount),
+    Unusable(#[from] Unusable),
     /// The scan, or a later one, has been used before.
     #[error("the scan's stamp is not later than that of the one before: nothing is evidence twice")]
     NotNewer,
@@ -73,8 +64,8 @@ impl NoEvidence {
     /// Its kind, for programs.
     pub fn code(&self) -> &'static str {
         match self {
-            Self::Malformed(_) | Self::MalformedCloud(_) => "malformed_scan",
-            Self::Tilted(_) => "tilted_mount",
+            Self::Unusable(Unusable::Malformed(_) | Unusable::MalformedCloud(_)) => "malformed_scan",
+            Self::Unusable(Unusable::Tilted(_)) => "tilted_mount",
             Self::NotNewer => "not_newer",
         }
     }
@@ -107,19 +98,12 @@ impl Fix {
 
 /// A robot on a map.
 pub struct Localizer {
-    config: Config,
-    clock: Arc<dyn Clock>,
-    costs: CostModel,
-    contract: Contract,
+    intake: Intake,
+    interrupt: Arc<dyn Interrupt>,
     filter: ParticleFilter,
     wheel: WheelOdometry,
     /// The last odometry: stamp and pose in its own frame.
     odometer: Option<(Stamp, Pose2)>,
-    converter: ScanConverter,
-    remarks: Vec<String>,
-    transforms: TransformTree,
-    mount: Mount,
-    mount_source: MountSource,
     /// A pose that was set and its covariance, until the first scan after it.
     initial_pose: Option<InitialPose<(Pose2, PoseCovariance)>>,
     /// Stamp of the scan used last, and where the robot was then.
@@ -132,20 +116,12 @@ pub struct Localizer {
 impl Localizer {
     /// A robot where the configuration says, or that may be anywhere on the map.
     pub fn new(map: OccupancyGrid, config: &Config, clock: Arc<dyn Clock>) -> Result<Self, LocalizerError> {
-        let parameter = config.odometry.laser_in_base;
         Ok(Self {
             filter: filter_on(map, config)?,
-            clock,
-            costs: CostModel::new(config.contract.confidence),
-            contract: Contract::try_from(&config.contract)?,
-            config: config.clone(),
+            intake: Intake::new(config, clock)?,
+            interrupt: Arc::new(Never),
             wheel: WheelOdometry::default(),
             odometer: None,
-            converter: ScanConverter::new(&config.scan),
-            remarks: Vec::new(),
-            transforms: TransformTree::default(),
-            mount: Mount { base_from_laser: parameter.unwrap_or_default(), ..Mount::default() },
-            mount_source: if parameter.is_some() { MountSource::Parameter } else { MountSource::Assumed },
             initial_pose: None,
             last: None,
             twist: Twist2::default(),
@@ -154,33 +130,37 @@ impl Localizer {
         })
     }
 
+    /// From now on `interrupt` may end the work on a scan early.
+    pub fn set_interrupt(&mut self, interrupt: Arc<dyn Interrupt>) {
+        self.interrupt = interrupt;
+    }
+
     /// Gets ready for the first scan by practice on the map, whereby the costs of an answer become known. To be called first of all.
     pub fn warm_up(&mut self) {
-        let beams = self.config.sensor.beams as usize;
-        let most = self.config.localization.particles;
+        let beams = self.intake.config.sensor.beams as usize;
+        let most = self.intake.config.localization.particles;
         for particles in [most, most / 4, most / 16, most / 64].map(|count| count.max(1)) {
             for _ in 0..PRACTICE_SCANS {
                 let observation = self.filter.practise(particles, beams);
-                let now = self.clock.now();
-                let task = Task { contract: Contract::default(), arrival: now, taken_up: now };
-                let mut driver = Driver::new(task, &*self.clock, &Never, &mut self.costs);
+                let task = self.intake.task_without_limit();
+                let Intake { clock, costs, .. } = &mut self.intake;
+                let mut driver = Driver::new(task, &**clock, &Never, costs);
                 self.filter.predict(&Pose2::new(0.1, 0.0, 0.0), 0.025);
                 self.filter.update(observation, &Pose2::IDENTITY, &mut driver);
-                let refined = driver.refined().unwrap_or(now);
-                self.clock.worked(Phase::Closing, particles as usize);
-                let closing = self.clock.now().saturating_sub(refined);
-                self.filter.finish(false, &mut driver);
-                self.costs.observe(Phase::Closing, particles as usize, closing);
+                let refined = driver.refined();
+                self.intake.conclude(task.arrival, refined, Some(particles as usize));
+                let Intake { clock, costs, .. } = &mut self.intake;
+                self.filter.finish(false, &mut Driver::new(task, &**clock, &Never, costs));
             }
         }
-        self.costs.learn();
+        self.intake.costs.learn();
         self.filter.begin_anew();
-        begin(&mut self.filter, &self.config);
+        begin(&mut self.filter, &self.intake.config);
     }
 
     /// Another map of the same place: the robot is where it was.
     pub fn replace_map(&mut self, map: OccupancyGrid) -> Result<(), LocalizerError> {
-        self.filter = filter_on(map, &self.config)?;
+        self.filter = filter_on(map, &self.intake.config)?;
         if let Some((_, map_from_base)) = self.last {
             self.filter.start_at(&map_from_base, None);
         }
@@ -189,82 +169,68 @@ impl Localizer {
 
     /// Transforms that came before the map did.
     pub fn set_transforms(&mut self, transforms: TransformTree) {
-        self.transforms = transforms;
+        self.intake.transforms = transforms;
     }
 
     /// Takes a scan that arrived when the clock read `arrival`: moves the particles to its time, and corrects them by it.
     /// [`Self::conclude`] and [`Self::maintain`] are to follow. `interrupt`: somebody wants the answer now.
     pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration, interrupt: &dyn Interrupt) -> Fix {
-        self.answer(&message.header, arrival, interrupt, |localizer| {
-            localizer.mount.check_level(&localizer.config.frames.base_frame, &message.header.frame_id)?;
-            Ok(localizer.converter.convert(message, localizer.mount.upside_down)?)
-        })
+        self.fix(&message.header, arrival, interrupt, |intake| intake.scan(message))
     }
 
-    /// Takes a point cloud as [`Self::on_scan`] does a scan.
-    pub fn on_cloud(&mut self, message: &PointCloud2, arrival: Duration, interrupt: &dyn Interrupt) -> Fix {
-        self.answer(&message.header, arrival, interrupt, |localizer| {
-            Ok(cloud::scan(message, &localizer.config.cloud, &localizer.mount.level_from_laser)?)
-        })
-    }
-
-    /// Takes whichever of the two it is.
-    pub fn on_sensed(&mut self, message: &Sensed, arrival: Duration, interrupt: &dyn Interrupt) -> Fix {
+    /// Takes a scan or a point cloud, as [`Self::on_scan`] does; what interrupts is as it was set.
+    pub fn on_sensed(&mut self, message: &Sensed, arrival: Duration) -> Fix {
+        let interrupt = Arc::clone(&self.interrupt);
         match message {
-            Sensed::Scan(scan) => self.on_scan(scan, arrival, interrupt),
-            Sensed::Cloud(cloud) => self.on_cloud(cloud, arrival, interrupt),
+            Sensed::Scan(scan) => self.on_scan(scan, arrival, &*interrupt),
+            Sensed::Cloud(cloud) => self.fix(&cloud.header, arrival, &*interrupt, |intake| intake.cloud(cloud)),
         }
     }
 
-    fn answer(
+    fn fix(
         &mut self,
         header: &Header,
         arrival: Duration,
         interrupt: &dyn Interrupt,
-        convert: impl FnOnce(&mut Self) -> Result<Scan, NoEvidence>,
+        read: impl FnOnce(&mut Intake) -> Result<Scan, Unusable>,
     ) -> Fix {
-        let (stamp, taken_up) = (Stamp::from(header.stamp), self.clock.now());
+        let (stamp, task) = (Stamp::from(header.stamp), self.intake.task(arrival));
         if let Some(InitialPose { pose: (map_from_base, covariance), .. }) =
             self.initial_pose.take_if(|set| set.precedes(stamp, arrival))
         {
             self.start_at(&map_from_base, Some(&covariance));
         }
-        let task = Task { contract: self.contract, arrival, taken_up };
         let mut fix = Fix {
             stamp,
             belief: Err(NoEvidence::NotNewer),
             stop_reason: None,
-            contract: self.contract,
+            contract: task.contract,
             elapsed: Duration::ZERO,
             arrival,
             refined: None,
         };
-        fix.belief = self.observe(header, convert).map(|observation| {
+        fix.belief = self.observe(stamp, read).map(|observation| {
             let (belief, stop_reason, refined) = self.take_in(observation, task, interrupt);
             (fix.stop_reason, fix.refined) = (Some(stop_reason), refined);
             belief
         });
-        fix.elapsed = self.clock.now().saturating_sub(arrival);
+        fix.elapsed = self.intake.clock.now().saturating_sub(arrival);
         fix
     }
 
     /// What a scan shows, if it is new.
     fn observe(
         &mut self,
-        header: &Header,
-        convert: impl FnOnce(&mut Self) -> Result<Scan, NoEvidence>,
+        stamp: Stamp,
+        read: impl FnOnce(&mut Intake) -> Result<Scan, Unusable>,
     ) -> Result<Observation, NoEvidence> {
-        let stamp = Stamp::from(header.stamp);
         let since_last = self.last.map(|(last, _)| stamp.seconds_since(last));
-        if since_last.is_some_and(|seconds| (-NEW_TIME..=0.0).contains(&seconds)) {
+        if since_last.is_some_and(|seconds| (-NEW_RUN..=0.0).contains(&seconds)) {
             return Err(NoEvidence::NotNewer);
         }
-        self.update_mount(&header.frame_id);
-        let scan = convert(self);
-        self.remarks.extend(self.converter.take_oddities().iter().map(ToString::to_string));
-        let scan = scan?;
+        let scan = read(&mut self.intake)?;
         self.last.take_if(|_| since_last.is_some_and(|seconds| seconds < 0.0));
-        Ok(Observation::new(&scan, self.config.sensor.beams as usize))
+        Ok(Observation::new(&scan, self.intake.config.sensor.beams as usize))
     }
 
     fn take_in(
@@ -275,37 +241,32 @@ impl Localizer {
     ) -> (Belief, StopReason, Option<Duration>) {
         let stamp = observation.stamp;
         let motion = self.last.map(|(last, _)| (self.motion(last, stamp), stamp.seconds_since(last)));
-        let mut driver = Driver::new(task, &*self.clock, interrupt, &mut self.costs);
+        let Intake { clock, costs, mount, .. } = &mut self.intake;
+        let mut driver = Driver::new(task, &**clock, interrupt, costs);
         self.filter.plan(observation.len(), &driver);
         if let Some((motion, seconds)) = motion {
             self.twist = Twist2::of_motion(&motion, seconds);
             self.filter.predict(&motion, seconds);
         }
-        let (belief, stop_reason) = self.filter.update(observation, &self.mount.base_from_laser, &mut driver);
+        let (belief, stop_reason) = self.filter.update(observation, &mount.base_from_laser, &mut driver);
         self.last = Some((stamp, belief.map_from_base));
         (belief, stop_reason, driver.refined())
     }
 
     /// To be called once the belief of `fix` has been handed over: takes the time.
     pub fn conclude(&mut self, fix: &mut Fix) {
-        if let Ok(belief) = &fix.belief {
-            self.clock.worked(Phase::Closing, belief.particles);
-        }
-        let now = self.clock.now();
-        fix.elapsed = now.saturating_sub(fix.arrival);
-        if let (Ok(belief), Some(refined)) = (&fix.belief, fix.refined) {
-            self.deadline_misses += u64::from(!fix.overrun().is_zero());
-            self.costs.observe(Phase::Closing, belief.particles, now.saturating_sub(refined));
-        }
+        let size = fix.belief.as_ref().ok().map(|belief| belief.particles);
+        fix.elapsed = self.intake.conclude(fix.arrival, fix.refined, size);
+        self.deadline_misses += u64::from(size.is_some() && !fix.overrun().is_zero());
     }
 
     /// Work that can wait until an answer is out. `interrupt`: the next scan is here.
     pub fn maintain(&mut self, interrupt: &dyn Interrupt) {
-        let now = self.clock.now();
-        let task = Task { contract: Contract::default(), arrival: now, taken_up: now };
-        let mut driver = Driver::new(task, &*self.clock, interrupt, &mut self.costs);
-        self.filter.finish(self.config.contract.finish_after_answer, &mut driver);
-        self.costs.learn();
+        let task = self.intake.task_without_limit();
+        let Intake { config, clock, costs, .. } = &mut self.intake;
+        let mut driver = Driver::new(task, &**clock, interrupt, costs);
+        self.filter.finish(config.contract.finish_after_answer, &mut driver);
+        costs.learn();
     }
 
     /// By odometry; where it is silent, as before.
@@ -343,13 +304,12 @@ impl Localizer {
 
     /// How long to hold back a scan of this stamp for odometry that has not come yet; `None`: take it now.
     pub fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        let wait = self.contract.patience(Duration::from_secs_f64(self.config.odometry.max_wait.0));
-        (!wait.is_zero() && self.wheel.is_behind(stamp)).then_some(wait)
+        self.intake.patience().filter(|_| self.wheel.is_behind(stamp))
     }
 
     /// Takes wheel odometry.
     pub fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
-        let sample = intake::wheel_sample(message, &self.transforms, &self.config.frames)?;
+        let sample = self.intake.wheel_sample(message)?;
         self.wheel.push(sample);
         self.odometer = Some((sample.stamp, sample.pose));
         Ok(())
@@ -357,8 +317,7 @@ impl Localizer {
 
     /// Takes transforms, static or not.
     pub fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
-        let count = self.transforms.add(message);
-        if count == 0 { Ok(()) } else { Err(InputError::BadTransforms { count }) }
+        self.intake.on_transforms(message)
     }
 
     /// Takes the pose of the base, as a person sets it in `RViz`, which came when the clock read `arrival`: the robot is there when the
@@ -388,23 +347,23 @@ impl Localizer {
 
     /// Takes a contract; in force from the next scan on.
     pub fn on_contract(&mut self, message: &own::Contract) -> Result<(), InputError> {
-        self.contract = Contract::try_from(message)?;
+        self.intake.contract = Contract::try_from(message)?;
         Ok(())
     }
 
     /// Another contract; in force from the next scan on.
     pub fn set_contract(&mut self, contract: Contract) {
-        self.contract = contract;
+        self.intake.contract = contract;
     }
 
     /// The contract in force.
     pub fn contract(&self) -> Contract {
-        self.contract
+        self.intake.contract
     }
 
     /// The configuration it was made with.
     pub fn config(&self) -> &Config {
-        &self.config
+        &self.intake.config
     }
 
     /// The robot is near `map_from_base`; how near, says `covariance`, or the configuration.
@@ -426,7 +385,7 @@ impl Localizer {
 
     /// Place of the laser on the base, and where that is known from.
     pub fn mount(&self) -> (Mount, MountSource) {
-        (self.mount, self.mount_source)
+        (self.intake.mount, self.intake.mount_source)
     }
 
     /// Scans that odometry did not cover.
@@ -439,24 +398,14 @@ impl Localizer {
         self.deadline_misses
     }
 
-    fn update_mount(&mut self, laser_frame: &str) {
-        let parameter = self.config.odometry.laser_in_base;
-        if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter) {
-            self.mount = mount;
-            if parameter.is_none() {
-                self.mount_source = MountSource::Transforms;
-            }
-        }
-    }
-
     /// What is odd in the messages so far and was not said before; each kind of it is said once.
     pub fn take_remarks(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.remarks)
+        self.intake.take_remarks()
     }
 
     /// A place is given in the frame of the map; some programs leave the frame empty.
     fn check_frame(&self, frame: &str) -> Result<(), InputError> {
-        let (frame, expected) = (frame_name(frame), frame_name(&self.config.frames.map_frame));
+        let (frame, expected) = (frame_name(frame), frame_name(&self.intake.config.frames.map_frame));
         if frame.is_empty() || frame == expected {
             return Ok(());
         }

@@ -1,5 +1,6 @@
 //! The application: messages in, estimates out. The node and the offline tool both drive this, so that a replay is what ran live.
 
+mod answering;
 mod heading;
 mod initial_pose;
 mod intake;
@@ -17,15 +18,15 @@ use thiserror::Error;
 use self::initial_pose::InitialPose;
 use crate::anytime::clock::Clock;
 use crate::anytime::contract::{BOUND_SIGMAS, Contract, ContractError};
-use crate::anytime::cost_model::{CostModel, Phase};
+use crate::anytime::cost_model::CostModel;
 use crate::anytime::interrupt::{Interrupt, Never};
 use crate::anytime::mode::{Conditions, Outside, Watch};
-use crate::anytime::{Driver, ErrorEstimate, Task};
-use crate::cloud;
+use crate::anytime::{Driver, ErrorEstimate};
 use crate::config::{Config, FrameKnobs};
 use crate::geometry::{Pose2, Twist2};
 use crate::io::cost_file::{self, CostFileError};
 use crate::io::profile_file::{ExpectedError, Profile, ProfileFileError, VariantProfile};
+use crate::mapping::{Passage, Sighting};
 use crate::matching::IterationTrace;
 use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
 use crate::messages::nav_msgs::Odometry;
@@ -34,17 +35,18 @@ use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::WheelSample;
-use crate::odometry::{Failure, FailureReason, LaserOdometry, MatchedPoints, OdometryCounters, Registration};
-use crate::scan::{Scan, ScanConverter};
+use crate::odometry::{Failure, FailureReason, LaserOdometry, MatchedPoints, OdometryCounters, Outcome, Registration};
+use crate::scan::Scan;
 use crate::time::Stamp;
 use crate::transforms::{Mount, TransformTree};
 
+pub use answering::{Answered, Answering};
+use intake::Intake;
+pub use intake::Unusable;
 use sensed::Sensed;
 
 /// A quaternion whose length is farther from 1 than this is a mistake of its sender, not rounding.
 const QUATERNION_TOLERANCE: f64 = 0.1;
-/// A mount that moves by more than this (m, rad) between two scans is worth a remark: no laser shakes that much on its bracket.
-const MOUNT_JUMP: f64 = 0.02;
 
 /// A message that cannot be used. The application goes on as if it had not come.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -137,6 +139,16 @@ impl Estimate {
         self.overrun().is_zero()
     }
 
+    /// How the robot came here; `None` where the scan was malformed, or one that had been answered before.
+    pub fn passage(&self) -> Option<Passage> {
+        match &self.registration.outcome {
+            Outcome::First => Some(Passage::Start),
+            Outcome::Matched => Some(Passage::Known),
+            // Where no match was tried there was no scan to match.
+            Outcome::Predicted(_) => self.registration.refinement.map(|_| Passage::Lost),
+        }
+    }
+
     /// How much later than asked for the answer is.
     pub fn overrun(&self) -> Duration {
         self.contract.overrun(self.elapsed)
@@ -189,61 +201,39 @@ pub enum MountSource {
 
 /// Scan matching as a whole.
 pub struct App {
-    config: Config,
-    clock: Arc<dyn Clock>,
+    intake: Intake,
     interrupt: Arc<dyn Interrupt>,
-    costs: CostModel,
     profile: Option<VariantProfile>,
     /// Whether scans are of the profile's kind.
     watch: Option<Watch>,
-    contract: Contract,
     odometry: LaserOdometry,
-    converter: ScanConverter,
-    transforms: TransformTree,
-    mount: Mount,
-    mount_source: MountSource,
-    /// The frame of the last scan, and where on the base it was.
-    last_mount: Option<(String, Pose2)>,
-    mount_jumped: bool,
     /// A pose that was set, until the first scan after it.
     initial_pose: Option<InitialPose<Pose2>>,
-    remarks: Vec<String>,
     counters: Counters,
 }
 
 impl App {
     /// An application with this configuration. Fails on a contract that is none.
     pub fn new(config: &Config, clock: Arc<dyn Clock>) -> Result<Self, ContractError> {
-        let parameter = config.odometry.laser_in_base;
         Ok(Self {
-            config: config.clone(),
-            clock,
+            intake: Intake::new(config, clock)?,
             interrupt: Arc::new(Never),
-            costs: CostModel::new(config.contract.confidence),
             profile: None,
             watch: None,
-            contract: Contract::try_from(&config.contract)?,
             odometry: LaserOdometry::new(&config.odometry, &config.matching, &config.rejection),
-            converter: ScanConverter::new(&config.scan),
-            transforms: TransformTree::default(),
-            mount: Mount { base_from_laser: parameter.unwrap_or_default(), ..Mount::default() },
-            mount_source: if parameter.is_some() { MountSource::Parameter } else { MountSource::Assumed },
-            last_mount: None,
-            mount_jumped: false,
             initial_pose: None,
-            remarks: Vec::new(),
             counters: Counters::default(),
         })
     }
 
     /// Gets ready for the first scan: practises on simulated ones, and reads the files of costs and of the profile, if there are any.
     pub fn warm_up(&mut self) -> Result<(), StartError> {
-        self.costs = warm_up::practise(self);
-        if let Some(path) = &self.config.contract.cost_file {
-            cost_file::read(Path::new(path), &mut self.costs)?;
+        self.intake.costs = warm_up::practise(self);
+        if let Some(path) = &self.intake.config.contract.cost_file {
+            cost_file::read(Path::new(path), &mut self.intake.costs)?;
         }
-        if let Some(path) = &self.config.contract.profile {
-            let matching = &self.config.matching;
+        if let Some(path) = &self.intake.config.contract.profile {
+            let matching = &self.intake.config.matching;
             let variant = format!("{}+{}", matching.correspondence.name(), matching.solver.name());
             let profile = Profile::load(Path::new(path))?.variant(&variant)?.clone();
             self.watch = Some(Watch::new(profile.conditions));
@@ -254,18 +244,18 @@ impl App {
 
     /// The error that the profile leads to expect under the contract in force.
     pub fn expected_error(&self) -> Option<ExpectedError> {
-        self.profile.as_ref()?.expected_error(self.contract.time_budget.unwrap_or(Duration::MAX))
+        self.profile.as_ref()?.expected_error(self.intake.contract.time_budget.unwrap_or(Duration::MAX))
     }
 
     /// What work costs, as learned so far.
     pub fn costs(&self) -> &CostModel {
-        &self.costs
+        &self.intake.costs
     }
 
     /// Writes the learned costs to their file, if one is wanted.
     pub fn store_costs(&self) -> Result<(), CostFileError> {
-        match &self.config.contract.cost_file {
-            Some(path) => cost_file::write(Path::new(path), &self.costs),
+        match &self.intake.config.contract.cost_file {
+            Some(path) => cost_file::write(Path::new(path), &self.intake.costs),
             None => Ok(()),
         }
     }
@@ -278,19 +268,12 @@ impl App {
     /// Answers a scan that arrived when the clock read `arrival`. Always answers: for a scan that is unusable, with the prediction.
     /// [`Self::conclude`] is to follow.
     pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration) -> Estimate {
-        self.answer(&message.header, arrival, |app| {
-            let level = app.mount.check_level(&app.config.frames.base_frame, &message.header.frame_id);
-            level.map_err(|e| Failure::new(FailureReason::TiltedMount, e.to_string()))?;
-            app.converter.convert(message, app.mount.upside_down).map_err(|e| malformed(&e))
-        })
+        self.estimate(&message.header, arrival, |intake| intake.scan(message))
     }
 
     /// Answers a point cloud as [`Self::on_scan`] does a scan.
     pub fn on_cloud(&mut self, message: &PointCloud2, arrival: Duration) -> Estimate {
-        self.answer(&message.header, arrival, |app| {
-            let scan = cloud::scan(message, &app.config.cloud, &app.mount.level_from_laser).map_err(|e| malformed(&e))?;
-            scan.masked(app.converter.mask()).map_err(|e| malformed(&e))
-        })
+        self.estimate(&message.header, arrival, |intake| intake.cloud(message))
     }
 
     /// Answers whichever of the two it is.
@@ -301,61 +284,62 @@ impl App {
         }
     }
 
-    fn answer(
+    fn estimate(
         &mut self,
         header: &Header,
         arrival: Duration,
-        convert: impl FnOnce(&mut Self) -> Result<Scan, Failure>,
+        read: impl FnOnce(&mut Intake) -> Result<Scan, Unusable>,
     ) -> Estimate {
         let stamp = header.stamp.into();
         self.counters.scans += 1;
         if let Some(set) = self.initial_pose.take_if(|set| set.precedes(stamp, arrival)) {
             self.odometry.set_pose(set.pose, set.held_at(stamp, arrival));
         }
-        let task = Task { contract: self.contract, arrival, taken_up: self.clock.now() };
-        self.update_mount(&header.frame_id);
-        let scan = convert(self);
-        self.remarks.extend(self.converter.take_oddities().iter().map(ToString::to_string));
-        let mut driver = Driver::new(task, &*self.clock, &*self.interrupt, &mut self.costs);
+        let task = self.intake.task(arrival);
+        let scan = read(&mut self.intake);
+        let Intake { clock, costs, mount, .. } = &mut self.intake;
+        let mut driver = Driver::new(task, &**clock, &*self.interrupt, costs);
         let registration = match scan {
-            Ok(scan) => self.odometry.register(&scan, &self.mount.base_from_laser, &mut driver),
+            Ok(scan) => self.odometry.register(&scan, &mount.base_from_laser, &mut driver),
             Err(problem) => {
                 self.counters.malformed_scans += 1;
-                self.odometry.answer_unusable(stamp, problem)
+                self.odometry.answer_unusable(stamp, failure(&problem))
             }
         };
         let refined = driver.refined();
-        let elapsed = self.clock.now().saturating_sub(arrival);
-        let (contract, expected_error) = (self.contract, self.expected_error());
+        let elapsed = clock.now().saturating_sub(arrival);
+        let (contract, expected_error) = (self.contract(), self.expected_error());
         Estimate { stamp, registration, contract, expected_error, outside_profile: None, elapsed, arrival, refined }
     }
 
     /// The scan of a message that has just been answered; `None` where it is malformed.
     pub fn scan(&mut self, message: &Sensed) -> Option<Scan> {
-        message.scan(&mut self.converter, &self.config.cloud, &self.mount)
+        self.intake.scan_again(message)
+    }
+
+    /// What a scan that has just been answered is to a map, and the scan as it was measured; `None` where it could not be used.
+    pub fn sighting(&mut self, message: &Sensed, estimate: &Estimate) -> Option<(Sighting, Scan)> {
+        let passage = estimate.passage()?;
+        let measured = self.scan(message)?;
+        let (odom_from_base, base_from_laser) = (estimate.registration.odom_from_base, self.intake.mount.base_from_laser);
+        Some((Sighting { scan: self.undistorted(measured.clone()), odom_from_base, base_from_laser, passage }, measured))
     }
 
     /// That scan as the laser would have seen it at its stamp.
     pub fn undistorted(&self, scan: Scan) -> Scan {
-        self.odometry.undistorted(&scan, &self.mount.base_from_laser).unwrap_or(scan)
+        self.odometry.undistorted(&scan, &self.intake.mount.base_from_laser).unwrap_or(scan)
     }
 
     /// What is odd in the messages so far and was not said before; each kind of it is said once.
     pub fn take_remarks(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.remarks)
+        self.intake.take_remarks()
     }
 
     /// To be called once the pose of `estimate` has been handed over: takes the time.
     pub fn conclude(&mut self, estimate: &mut Estimate) {
-        if let Some(report) = &estimate.registration.refinement {
-            self.clock.worked(Phase::Closing, report.rays_used as usize);
-        }
-        let now = self.clock.now();
-        estimate.elapsed = now.saturating_sub(estimate.arrival);
+        let size = estimate.registration.refinement.as_ref().map(|report| report.rays_used as usize);
+        estimate.elapsed = self.intake.conclude(estimate.arrival, estimate.refined, size);
         self.counters.deadline_misses += u64::from(!estimate.deadline_met());
-        if let (Some(report), Some(refined)) = (&estimate.registration.refinement, estimate.refined) {
-            self.costs.observe(Phase::Closing, report.rays_used as usize, now.saturating_sub(refined));
-        }
         if let (Some(watch), Some(conditions)) = (&mut self.watch, estimate.conditions()) {
             estimate.outside_profile = watch.add(&conditions);
         }
@@ -364,27 +348,26 @@ impl App {
     /// How long to hold back a scan of this stamp for odometry that it needs and that has not come yet; `None`: answer it now. A scan
     /// that is answered all the same is predicted with what odometry there is.
     pub fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        let wait = self.contract.patience(Duration::from_secs_f64(self.config.odometry.max_wait.0));
-        (!wait.is_zero() && self.odometry.awaits_odometry(stamp)).then_some(wait)
+        self.intake.patience().filter(|_| self.odometry.awaits_odometry(stamp))
     }
 
     /// Work that can wait until an answer is out: the next scan is answered sooner and better for it. `interrupt`: the next scan is
     /// here.
     pub fn maintain(&mut self, interrupt: &dyn Interrupt) {
-        let now = self.clock.now();
-        let task = Task { contract: Contract::default(), arrival: now, taken_up: now };
-        let mut driver = Driver::new(task, &*self.clock, interrupt, &mut self.costs);
-        if self.config.contract.finish_after_answer {
+        let task = self.intake.task_without_limit();
+        let Intake { config, clock, costs, .. } = &mut self.intake;
+        let mut driver = Driver::new(task, &**clock, interrupt, costs);
+        if config.contract.finish_after_answer {
             self.odometry.finish(&mut driver);
         }
         self.odometry.maintain();
         self.odometry.close_loop(&mut driver);
-        self.costs.learn();
+        costs.learn();
     }
 
     /// Takes wheel odometry.
     pub fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
-        let sample = intake::wheel_sample(message, &self.transforms, &self.config.frames);
+        let sample = self.intake.wheel_sample(message);
         let sample = self.count_refused(sample)?;
         self.odometry.add_wheel_sample(sample);
         Ok(())
@@ -392,16 +375,17 @@ impl App {
 
     /// Takes transforms, static or not.
     pub fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
-        let count = self.transforms.add(message);
+        let outcome = self.intake.on_transforms(message);
         self.predict_from(message);
-        self.count_refused(if count == 0 { Ok(()) } else { Err(InputError::BadTransforms { count }) })
+        self.count_refused(outcome)
     }
 
     /// Where another node's transforms say the base is, if these are to predict.
     fn predict_from(&mut self, message: &TFMessage) {
-        let FrameKnobs { prediction_frame: Some(frame), base_frame, .. } = &self.config.frames else { return };
-        let mut moved = message.transforms.iter().filter(|moved| self.transforms.carries(&moved.child_frame_id, base_frame));
-        if let (Some(moved), Some(place)) = (moved.next(), self.transforms.mount(frame, base_frame)) {
+        let FrameKnobs { prediction_frame: Some(frame), base_frame, .. } = &self.intake.config.frames else { return };
+        let mut moved =
+            message.transforms.iter().filter(|moved| self.intake.transforms.carries(&moved.child_frame_id, base_frame));
+        if let (Some(moved), Some(place)) = (moved.next(), self.intake.transforms.mount(frame, base_frame)) {
             let stamp = moved.header.stamp.into();
             self.odometry.add_transform_sample(WheelSample { stamp, pose: place.base_from_laser, twist: None });
         }
@@ -409,7 +393,7 @@ impl App {
 
     /// Takes a reading of the IMU; one that says nothing (some simulators publish zeros) is let pass.
     pub fn on_imu(&mut self, message: &Imu) -> Result<(), InputError> {
-        let mount = self.transforms.mount(&self.config.frames.base_frame, &message.header.frame_id);
+        let mount = self.intake.transforms.mount(&self.intake.config.frames.base_frame, &message.header.frame_id);
         let reading = heading::reading(message, mount.is_some_and(|mount| mount.upside_down));
         if let Some(reading) = self.count_refused(reading)? {
             self.odometry.add_heading(reading);
@@ -427,13 +411,13 @@ impl App {
 
     /// Takes a contract; in force from the next scan on.
     pub fn on_contract(&mut self, message: &own::Contract) -> Result<(), InputError> {
-        self.contract = self.count_refused(Contract::try_from(message).map_err(InputError::from))?;
+        self.intake.contract = self.count_refused(Contract::try_from(message).map_err(InputError::from))?;
         Ok(())
     }
 
     /// Another contract; in force from the next scan on.
     pub fn set_contract(&mut self, contract: Contract) {
-        self.contract = contract;
+        self.intake.contract = contract;
     }
 
     /// Another limit of the iterations of one match; in force from the next scan on.
@@ -471,22 +455,22 @@ impl App {
 
     /// Place of the laser on the base, and where that is known from.
     pub fn mount(&self) -> (Mount, MountSource) {
-        (self.mount, self.mount_source)
+        (self.intake.mount, self.intake.mount_source)
     }
 
     /// The transforms known.
     pub fn transforms(&self) -> &TransformTree {
-        &self.transforms
+        &self.intake.transforms
     }
 
     /// The contract in force.
     pub fn contract(&self) -> Contract {
-        self.contract
+        self.intake.contract
     }
 
     /// The configuration it was made with.
     pub fn config(&self) -> &Config {
-        &self.config
+        &self.intake.config
     }
 
     /// Events counted so far.
@@ -508,39 +492,15 @@ impl App {
         self.counters.refused_messages += u64::from(result.is_err());
         result
     }
-
-    /// Where the laser of this scan is on the base: every scan has its own place, which may move.
-    fn update_mount(&mut self, laser_frame: &str) {
-        let parameter = self.config.odometry.laser_in_base;
-        if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter) {
-            self.mount = mount;
-            if parameter.is_none() {
-                self.mount_source = MountSource::Transforms;
-            }
-        }
-        self.note_mount_jump(laser_frame);
-    }
-
-    fn note_mount_jump(&mut self, laser_frame: &str) {
-        let place = self.mount.base_from_laser;
-        let Some((_, before)) = self.last_mount.as_mut().filter(|(frame, _)| frame == laser_frame) else {
-            self.last_mount = Some((laser_frame.into(), place));
-            return;
-        };
-        let motion = std::mem::replace(before, place).between(&place);
-        if !self.mount_jumped && (motion.distance() > MOUNT_JUMP || motion.theta.abs() > MOUNT_JUMP) {
-            self.mount_jumped = true;
-            let (distance, degrees) = (motion.distance(), motion.theta.to_degrees());
-            self.remarks.push(format!(
-                "by tf the laser '{laser_frame}' moved on the base by {distance:.3} m and {degrees:.1} degrees from one scan to the next: \
-                 poses follow tf (is it published by one node only?)"
-            ));
-        }
-    }
 }
 
-fn malformed(problem: &dyn std::fmt::Display) -> Failure {
-    Failure::new(FailureReason::MalformedScan, format!("malformed scan: {problem}"))
+/// A scan of no use is answered with the prediction, and says why.
+fn failure(problem: &Unusable) -> Failure {
+    let reason = match problem {
+        Unusable::Tilted(_) => FailureReason::TiltedMount,
+        Unusable::Malformed(_) | Unusable::MalformedCloud(_) => FailureReason::MalformedScan,
+    };
+    Failure::new(reason, problem.to_string())
 }
 
 /// The pose in the plane that a message holds.

@@ -21,7 +21,7 @@ const RAYS: [u32; 4] = [32, 128, 512, 0];
 /// The costs of matching a short simulated drive with the knobs of `app`, to completion.
 pub(super) fn practise(app: &App) -> CostModel {
     let drive = simulated_drive();
-    let mut costs = CostModel::new(app.config.contract.confidence);
+    let mut costs = CostModel::new(app.intake.config.contract.confidence);
     for max_rays in RAYS {
         costs = practise_with(app, max_rays, &drive, costs);
     }
@@ -43,15 +43,15 @@ fn simulated_drive() -> Vec<SimulatedMessage> {
 }
 
 fn practise_with(app: &App, max_rays: u32, drive: &[SimulatedMessage], costs: CostModel) -> CostModel {
-    let mut config = Config { contract: ContractKnobs::default(), ..app.config.clone() };
+    let mut config = Config { contract: ContractKnobs::default(), ..app.intake.config.clone() };
     config.matching.max_rays = max_rays;
-    let Ok(mut practice) = App::new(&config, Arc::clone(&app.clock)) else { return costs };
-    practice.costs = costs;
+    let Ok(mut practice) = App::new(&config, Arc::clone(&app.intake.clock)) else { return costs };
+    practice.intake.costs = costs;
     for message in drive {
         // What a simulated sensor says is never refused.
         match message {
             SimulatedMessage::Scan(scan) => {
-                let mut estimate = practice.on_scan(scan, practice.clock.now());
+                let mut estimate = practice.on_scan(scan, practice.intake.clock.now());
                 practice.conclude(&mut estimate);
                 practice.maintain(&Never);
             }
@@ -60,5 +60,5 @@ fn practise_with(app: &App, max_rays: u32, drive: &[SimulatedMessage], costs: Co
             SimulatedMessage::Truth { .. } => {}
         }
     }
-    practice.costs
+    practice.intake.costs
 }

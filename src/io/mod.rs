@@ -6,6 +6,7 @@ pub mod contract_schedule;
 pub mod cost_file;
 pub mod gray_image;
 pub mod map_file;
+pub mod map_files;
 pub mod profile_file;
 pub mod relations;
 pub mod simulated_bag;

@@ -97,7 +97,10 @@ impl Mapper {
             for pose in [keyframe.odom_from_laser, self.by_odometry[i], self.graph.poses()[i]] {
                 out.pose(&pose);
             }
-            out.scan(keyframe.view.scan());
+            match &keyframe.view {
+                Some(view) => out.scan(view.scan()),
+                None => out.no_scan(),
+            }
         }
         out
     }
@@ -121,8 +124,8 @@ impl Mapper {
 
     fn drawn_section(&self) -> Writer {
         let mut out = Writer::default();
-        out.count(self.drawn.len());
-        for Drawn { step, points } in &self.drawn {
+        out.count(self.drawn.iter().filter(|drawn| !drawn.points.is_empty()).count());
+        for Drawn { step, points, .. } in self.drawn.iter().filter(|drawn| !drawn.points.is_empty()) {
             out.stamp(step.stamp);
             out.count(step.keyframe);
             out.number(step.way);
@@ -159,7 +162,7 @@ impl Mapper {
             let (stamp, run) = (content.stamp()?, content.count()?);
             let (way, way_to_next) = (content.number()?, content.number()?);
             let [odom_from_laser, by_odometry, pose] = [content.pose()?, content.pose()?, content.pose()?];
-            let view = self.matcher.view(content.scan(stamp, &mut geometries)?);
+            let view = content.scan(stamp, &mut geometries)?.map(|scan| self.matcher.view(scan));
             self.keyframes.push(Keyframe { stamp, odom_from_laser, view, run, way });
             self.by_odometry.push(by_odometry);
             self.ways.push(way_to_next);
@@ -204,7 +207,8 @@ impl Mapper {
                 .iter()
                 .map(|&[a, b, c, d, e, f, g, h]| [f32::from_le_bytes([a, b, c, d]), f32::from_le_bytes([e, f, g, h])])
                 .collect();
-            self.drawn.push(Drawn { step: Step { stamp, keyframe, odom_from_base, odom_from_laser, way }, points });
+            let step = Step { stamp, keyframe, odom_from_base, odom_from_laser, way };
+            self.drawn.push(Drawn { step, points, at: None });
         }
         Ok(())
     }
@@ -258,6 +262,14 @@ impl Writer {
         for number in [pose.x, pose.y, pose.theta] {
             self.number(number);
         }
+    }
+
+    /// A scan that is not kept: one without beams.
+    fn no_scan(&mut self) {
+        self.number(0.0);
+        self.number(0.0);
+        self.count(0);
+        self.bytes.push(1);
     }
 
     /// Beams by their angles where they are even, else one by one; ranges with `inf` where nothing was seen.
@@ -315,8 +327,12 @@ impl<'a> Reader<'a> {
         Ok(Pose2::new(self.number()?, self.number()?, self.number()?))
     }
 
-    fn scan(&mut self, stamp: Stamp, geometries: &mut Vec<Arc<BeamGeometry>>) -> Result<Scan, GraphFileError> {
+    /// The scan of a keyframe; `None` where it was not kept.
+    fn scan(&mut self, stamp: Stamp, geometries: &mut Vec<Arc<BeamGeometry>>) -> Result<Option<Scan>, GraphFileError> {
         let (angle, increment, count) = (self.number()?, self.number()?, self.count()?);
+        if count == 0 {
+            return self.take(1).map(|_| None);
+        }
         if count > crate::scan::MAX_BEAMS || increment == 0.0 {
             return Err(damaged("the beams of a scan"));
         }
@@ -335,7 +351,7 @@ impl<'a> Reader<'a> {
         for _ in 0..count {
             ranges.push(f64::from(f32::from_le_bytes(self.array()?)));
         }
-        Scan::new(stamp, beams, (0.0, f64::MAX), ranges).map_err(|_| damaged("the ranges of a scan"))
+        Scan::new(stamp, beams, (0.0, f64::MAX), ranges).map(Some).map_err(|_| damaged("the ranges of a scan"))
     }
 }
 

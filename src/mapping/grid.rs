@@ -75,6 +75,16 @@ impl EvidenceGrid {
 
     /// Draws a scan that was taken at a pose of the laser.
     pub(super) fn draw(&mut self, points: &EndPoints, map_from_laser: &Pose2) {
+        self.count(points, map_from_laser, |count| count.saturating_add(1));
+    }
+
+    /// Takes back what [`Self::draw`] has drawn of a scan at a pose.
+    pub(super) fn erase(&mut self, points: &EndPoints, map_from_laser: &Pose2) {
+        self.count(points, map_from_laser, |count| count.saturating_sub(1));
+    }
+
+    /// Changes the counts of all cells that the rays of a scan end in or pass.
+    fn count(&mut self, points: &EndPoints, map_from_laser: &Pose2, change: impl Fn(u32) -> u32) {
         let transform = map_from_laser.transform();
         let ends: Vec<Point> = points.iter().map(|&[x, y]| transform.apply(Point::new(x.into(), y.into()))).collect();
         let laser = map_from_laser.translation();
@@ -90,15 +100,15 @@ impl EvidenceGrid {
             let direction = way / range;
             let margin = self.resolution / facing(&ends, i, &direction);
             let hit = self.index(self.column_and_row(&(end + direction * (0.5 * self.resolution))));
-            self.pass(&laser, &direction, range - margin, hit);
+            self.pass(&laser, &direction, range - margin, hit, &change);
             if let Some(cell) = self.cells.get_mut(hit) {
-                cell.hits = cell.hits.saturating_add(1);
+                cell.hits = change(cell.hits);
             }
         }
     }
 
     /// Counts a ray in the cells that it passes on the first `length` metres (Amanatides and Woo 1987), but not in the one that it hits.
-    fn pass(&mut self, from: &Point, direction: &Point, length: f64, hit: usize) {
+    fn pass(&mut self, from: &Point, direction: &Point, length: f64, hit: usize, change: &impl Fn(u32) -> u32) {
         if length <= 0.0 {
             return;
         }
@@ -116,7 +126,7 @@ impl EvidenceGrid {
             if index != hit
                 && let Some(cell) = self.cells.get_mut(index)
             {
-                cell.passes = cell.passes.saturating_add(1);
+                cell.passes = change(cell.passes);
             }
             let step = if next_x < next_y {
                 if next_x > reach {
@@ -314,6 +324,17 @@ mod tests {
         assert!(grid.to_map().is_none());
         grid.draw(&[[f32::INFINITY, 1.0]], &Pose2::new(1e300, 0.0, 0.0));
         assert!(grid.to_map().is_none(), "nor do poses from nowhere");
+    }
+
+    #[test]
+    fn what_is_erased_was_never_there() {
+        let mut grid = passing_by(3);
+        let before: Vec<Evidence> = grid.cells.iter().copied().filter(|cell| *cell != Evidence::default()).collect();
+        let pose = Pose2::new(3.0, 7.0, 0.4);
+        grid.draw(&wall(&Point::zeros()), &pose);
+        grid.erase(&wall(&Point::zeros()), &pose);
+        let after: Vec<Evidence> = grid.cells.iter().copied().filter(|cell| *cell != Evidence::default()).collect();
+        assert_eq!(before, after);
     }
 
     #[test]

@@ -150,7 +150,7 @@ impl JunctionSearch<'_> {
     }
 
     fn compare(&mut self, earlier: usize, later: usize, guess: Pose2, window: SearchWindow) -> Option<Match> {
-        let [earlier, later] = [earlier, later].map(|k| &self.keyframes[k].view);
-        self.matcher.compare(earlier, later, FirstGuess { window, ..guess.into() }).filter(|made| made.overlap >= OVERLAP)
+        let [earlier, later] = [earlier, later].map(|k| self.keyframes[k].view.as_ref());
+        self.matcher.compare(earlier?, later?, FirstGuess { window, ..guess.into() }).filter(|made| made.overlap >= OVERLAP)
     }
 }

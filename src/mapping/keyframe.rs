@@ -45,8 +45,8 @@ pub struct Keyframe {
     pub stamp: Stamp,
     /// Pose of the laser by odometry.
     pub odom_from_laser: Pose2,
-    /// What was seen.
-    pub view: Arc<View>,
+    /// What was seen; `None`: earlier keyframes have seen it as well, and nothing is compared with this one any more.
+    pub view: Option<Arc<View>>,
     /// Number of the run that it is of; odometry says nothing of what is between two.
     pub run: usize,
     /// Way from the first keyframe of all runs to here, m.

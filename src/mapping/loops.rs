@@ -62,7 +62,7 @@ const LEAST_WEIGHT: f64 = 0.25;
 /// Looks for places of earlier; remembers what it has tried.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LoopSearch {
-    /// By pair of keyframes: the guess of the last try, and what it has come to.
+    /// By later and earlier keyframe: the guess of the last try, and what it has come to.
     tried: BTreeMap<(usize, usize), (Pose2, Option<Match>)>,
     /// The earlier keyframes of the loop edges, by the later ones.
     begun: BTreeMap<usize, Vec<usize>>,
@@ -90,25 +90,44 @@ impl Window {
 }
 
 impl LoopSearch {
-    /// Edges to places of earlier, found in windows of `limit` metres at most.
-    pub(super) fn find(&mut self, keyframes: &[Keyframe], graph: &PoseGraph, matcher: &mut EdgeMatcher, limit: f64) -> Vec<Edge> {
-        let ways = Ways::new(graph);
+    /// Edges to places of earlier, found in windows of `limit` metres at most, for the stretches of the path that end after the keyframe
+    /// `since`.
+    pub(super) fn find(
+        &mut self,
+        keyframes: &[Keyframe],
+        ways: &Ways,
+        matcher: &mut EdgeMatcher,
+        limit: f64,
+        since: usize,
+    ) -> Vec<Edge> {
         let mut found = Vec::new();
         let mut start = 0;
         while start < keyframes.len() {
             let is_of_stretch = |k: &Keyframe| k.run == keyframes[start].run && k.way - keyframes[start].way < STRETCH;
             let end = start + keyframes[start..].iter().take_while(|k| is_of_stretch(k)).count();
-            let mut stretch = Stretch { keyframes, poses: graph.poses(), later: start..end, near: Vec::new(), limit };
+            let mut stretch = Stretch { keyframes, poses: ways.poses, later: start..end, near: Vec::new(), limit };
+            if end <= since {
+                start = end;
+                continue;
+            }
             if limit <= SMALL {
-                stretch.find_near(&ways);
+                stretch.find_near(ways);
                 self.track(&stretch, matcher, &mut found);
             } else if !(start..end).any(|k| self.begun.contains_key(&k)) {
-                stretch.find_near(&ways);
+                stretch.find_near(ways);
                 self.seek(&stretch, matcher, &mut found);
             }
             start = end;
         }
         found
+    }
+
+    /// Forgets what was tried for a keyframe that lets go of what it saw.
+    pub(super) fn forget(&mut self, later: usize) {
+        let tried: Vec<usize> = self.tried.range((later, 0)..(later + 1, 0)).map(|(&(_, earlier), _)| earlier).collect();
+        for earlier in tried {
+            self.tried.remove(&(later, earlier));
+        }
     }
 
     /// Matches keyframes to the nearest ones of other visits, where these can only be where they seem to be.
@@ -202,16 +221,16 @@ impl LoopSearch {
         guess: Pose2,
         window: SearchWindow,
     ) -> Option<Match> {
-        if let Some((tried, made)) = self.tried.get(&(earlier, later)) {
+        if let Some((tried, made)) = self.tried.get(&(later, earlier)) {
             let moved = tried.between(&guess);
             if moved.distance() < NEWS && moved.theta.abs() < NEWS {
                 return *made;
             }
         }
-        let [of_earlier, of_later] = [earlier, later].map(|k| &stretch.keyframes[k].view);
-        let made =
-            matcher.compare(of_earlier, of_later, FirstGuess { window, ..guess.into() }).filter(|made| made.overlap >= OVERLAP);
-        self.tried.insert((earlier, later), (guess, made));
+        let [of_earlier, of_later] = [earlier, later].map(|k| stretch.keyframes[k].view.as_ref());
+        let made = matcher.compare(of_earlier?, of_later?, FirstGuess { window, ..guess.into() });
+        let made = made.filter(|made| made.overlap >= OVERLAP);
+        self.tried.insert((later, earlier), (guess, made));
         made
     }
 }
@@ -269,8 +288,8 @@ impl Stretch<'_> {
     fn find_near(&mut self, ways: &Ways) {
         let place = self.poses[self.middle()].translation();
         let away = |earlier: usize| (self.poses[earlier].translation() - place).norm() - REACH - STRETCH;
-        let reached: Vec<usize> =
-            (0..self.later.end.saturating_sub(APART)).filter(|&earlier| away(earlier) < self.limit).collect();
+        let is_candidate = |&earlier: &usize| self.keyframes[earlier].view.is_some() && away(earlier) < self.limit;
+        let reached: Vec<usize> = (0..self.later.end.saturating_sub(APART)).filter(is_candidate).collect();
         if reached.is_empty() {
             return;
         }
@@ -289,7 +308,7 @@ impl Stretch<'_> {
 }
 
 /// The graph's edges by the keyframes they are of, to find the best ways.
-struct Ways<'a> {
+pub(super) struct Ways<'a> {
     poses: &'a [Pose2],
     /// By keyframe: the next one, and the covariance of the motion there, along the axes of the map.
     steps: Vec<Vec<(usize, PoseCovariance)>>,
@@ -317,7 +336,7 @@ impl PartialOrd for Reached {
 }
 
 impl<'a> Ways<'a> {
-    fn new(graph: &'a PoseGraph) -> Self {
+    pub(super) fn new(graph: &'a PoseGraph) -> Self {
         let poses = graph.poses();
         let mut steps = vec![Vec::new(); poses.len()];
         for (number, Edge { from, to, motion, covariance, .. }) in graph.edges().iter().enumerate() {

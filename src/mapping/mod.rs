@@ -13,6 +13,7 @@
 //! | `joining` | where on the map a run begins of which nobody knows |
 //! | `trajectory` | every scan between its keyframes |
 //! | `grid` | what stands where |
+//! | `live` | all of it while the robot drives |
 //! | `self_hits` | rays that see the robot itself |
 //! | `graph_file` | all of it in a file, to go on with |
 
@@ -22,6 +23,7 @@ mod graph_file;
 mod grid;
 mod joining;
 mod keyframe;
+mod live;
 mod loops;
 mod pose_graph;
 mod self_hits;
@@ -43,11 +45,26 @@ pub use graph_file::GraphFileError;
 pub use grid::{Evidence, EvidenceGrid};
 use keyframe::Spacing;
 pub use keyframe::{Keyframe, Passage, Sighting};
-use loops::{LoopSearch, WINDOWS};
+pub use live::LiveMap;
+use loops::{LoopSearch, WINDOWS, Ways};
 pub use pose_graph::{Edge, EdgeKind, PoseGraph};
 pub use self_hits::SelfHits;
 use trajectory::Placer;
 pub use trajectory::Step;
+
+crate::knobs! {
+    /// The mapper's map.
+    pub struct MappingKnobs {
+        /// Side of a cell.
+        resolution: f64 = 0.05, in 0.005 to 1, unit "m";
+        /// Folder that maps are saved in; relative to where the node was started, which for `roslaunch` is `~/.ros`.
+        directory: String = ".".into();
+        /// What a saved map is called: NAME.yaml, NAME.pgm and NAME.graph. A name, not a path.
+        name: String = "map".into();
+        /// Save the map when the node ends.
+        save_on_exit: bool = false;
+    }
+}
 
 /// A keyframe is matched to so many before it.
 const SEQUENCE: usize = 3;
@@ -70,7 +87,10 @@ const LOST_TURN: f64 = 0.3;
 #[derive(Clone, Debug)]
 struct Drawn {
     step: Step,
+    /// None where newer scans have taken its place.
     points: Vec<[f32; 2]>,
+    /// Where it is in a grid that is kept up to date.
+    at: Option<Pose2>,
 }
 
 /// How far a map has come.
@@ -100,6 +120,8 @@ pub struct Mapper {
     drawn: Vec<Drawn>,
     is_lost: bool,
     last_drawn: Option<Pose2>,
+    /// Between scans that are drawn.
+    drawn_spacing: Spacing,
     loops: LoopSearch,
     /// Index into the windows to look through.
     window: usize,
@@ -118,6 +140,7 @@ impl Mapper {
             drawn: Vec::new(),
             is_lost: false,
             last_drawn: None,
+            drawn_spacing: Spacing::DRAWN,
             loops: LoopSearch::default(),
             window: 0,
         }
@@ -132,9 +155,10 @@ impl Mapper {
         let becomes_keyframe = is_start || self.is_lost || last.is_none_or(|motion| Spacing::KEYFRAMES.is_exceeded_by(&motion));
         self.add_step(sighting.scan.stamp(), sighting.odom_from_base, odom_from_laser, is_start, becomes_keyframe);
         let moved = self.last_drawn.map(|last| last.between(&odom_from_laser));
-        if is_start || becomes_keyframe || moved.is_none_or(|moved| Spacing::DRAWN.is_exceeded_by(&moved)) {
+        if is_start || becomes_keyframe || moved.is_none_or(|moved| self.drawn_spacing.is_exceeded_by(&moved)) {
             self.last_drawn = Some(odom_from_laser);
-            self.drawn.extend(self.steps.last().map(|&step| Drawn { step, points: end_points(&sighting.scan) }));
+            let points = end_points(&sighting.scan);
+            self.drawn.extend(self.steps.last().map(|&step| Drawn { step, points, at: None }));
         }
         if becomes_keyframe {
             self.add_keyframe(sighting.scan, odom_from_laser, is_start);
@@ -171,7 +195,7 @@ impl Mapper {
         let place = if is_start { odom_from_laser } else { before(&self.by_odometry) * motion };
         self.by_odometry.push(place);
         self.graph.add_pose(if is_start { odom_from_laser } else { before(self.graph.poses()) * motion });
-        self.keyframes.push(Keyframe { stamp, odom_from_laser, view, run, way });
+        self.keyframes.push(Keyframe { stamp, odom_from_laser, view: Some(view), run, way });
         self.ways.push(0.0);
         if !is_start {
             let covariance = if self.is_lost { uncertainty::diagonal(LOST_ERROR, LOST_TURN) } else { of_step(&motion) };
@@ -189,8 +213,9 @@ impl Mapper {
             if a.run != b.run {
                 break;
             }
+            let (Some(of_a), Some(of_b)) = (&a.view, &b.view) else { break };
             let told = self.told_by_odometry(earlier, number);
-            let made = self.matcher.compare(&a.view, &b.view, told.pose);
+            let made = self.matcher.compare(of_a, of_b, told.pose);
             // Scans that fit in several places are of none that odometry contradicts.
             let holds = |made: &Match| made.agreement >= AGREEING && told.deviation(&made.motion) <= CONTRADICTING;
             if let Some(made) = made.filter(holds) {
@@ -214,7 +239,7 @@ impl Mapper {
     /// One round of looking for places of earlier, in small windows first, and the poses that fit; answers whether there is more to do.
     pub fn improve(&mut self) -> bool {
         let Some(&limit) = WINDOWS.get(self.window) else { return false };
-        let found = self.loops.find(&self.keyframes, &self.graph, &mut self.matcher, limit);
+        let found = self.loops.find(&self.keyframes, &Ways::new(&self.graph), &mut self.matcher, limit, 0);
         self.window = if found.is_empty() { self.window + 1 } else { 0 };
         if !found.is_empty() {
             for edge in found {
@@ -302,7 +327,7 @@ impl Mapper {
         let placer = self.placer();
         let mut grid = EvidenceGrid::new(resolution);
         let is_placed = self.placed();
-        for Drawn { step, points } in self.drawn.iter().filter(|drawn| is_placed[drawn.step.keyframe]) {
+        for Drawn { step, points, .. } in self.drawn.iter().filter(|drawn| is_placed[drawn.step.keyframe]) {
             grid.draw(points, &placer.place(step, &step.odom_from_laser));
         }
         grid

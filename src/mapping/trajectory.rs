@@ -58,7 +58,7 @@ mod tests {
         let view = EdgeMatcher::new(&MatchingKnobs::default(), &RejectionKnobs::default()).view(scan);
         let keyframe = |x: f64, run: usize| {
             let odom_from_laser = Pose2::new(x, 0.0, 0.0);
-            Keyframe { stamp: Stamp::default(), odom_from_laser, view: view.clone(), run, way: x }
+            Keyframe { stamp: Stamp::default(), odom_from_laser, view: Some(view.clone()), run, way: x }
         };
         let keyframes = [keyframe(0.0, 0), keyframe(1.0, 0), keyframe(0.0, 1)];
         let poses = [Pose2::new(5.0, 0.0, 0.0), Pose2::new(6.2, 0.1, 0.0), Pose2::new(9.0, 0.0, 0.0)];

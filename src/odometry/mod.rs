@@ -25,7 +25,7 @@ use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
 use crate::scan::Scan;
-use crate::time::Stamp;
+use crate::time::{NEW_RUN, Stamp};
 use attempt::{Attempt, Last, Prediction};
 use clock_step::ClockStep;
 use heading::HeadingReading;
@@ -39,8 +39,6 @@ use source_noise::SourceNoise;
 use sources::MotionSources;
 use wheel::{WheelEvent, WheelSample};
 
-/// Stamps that go back farther than this start a new run (a bag played in a loop); less is a scan out of order, s.
-const NEW_RUN: f64 = 1.0;
 /// A pose farther than this, m, from where the velocity before leads has jumped, ...
 const JUMP: f64 = 0.04;
 /// as has one with this turn, rad, ...

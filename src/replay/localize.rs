@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 use super::{ReplayLog, Topics, feed, microseconds, sensed};
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
+use crate::app::Answering as _;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::sensed::Sensed;
 use crate::evaluation::association::MatchedPose;
@@ -77,11 +78,8 @@ fn answer<E>(
     arrival: Duration,
     on_answer: &mut impl FnMut(&Answer, &Sensed) -> Result<(), E>,
 ) -> Result<(), E> {
-    let mut fix = localizer.on_sensed(scan, arrival, &Never);
-    localizer.conclude(&mut fix);
-    on_answer(&Answer::Fix(Box::new(fix)), scan)?;
-    localizer.maintain(&Never);
-    Ok(())
+    let fix = localizer.answer(scan, arrival, |_, _| ()).maintain(&Never);
+    on_answer(&Answer::Fix(Box::new(fix)), scan)
 }
 
 fn pass_over<E>(

@@ -16,7 +16,7 @@ use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
 use crate::app::localizer::Localizer;
 use crate::app::sensed::Sensed;
-use crate::app::{App, Estimate, InputError};
+use crate::app::{Answering as _, App, Estimate, InputError};
 use crate::io::bag::{Bag, BagError, BagMessage};
 use crate::io::contract_schedule::ContractSchedule;
 use crate::messages::nav_msgs::Odometry;
@@ -156,10 +156,10 @@ pub fn replay<E: From<BagError>>(
                 if let Some(contract) = source.schedule.at(stamp.seconds_since(first_stamp)) {
                     app.set_contract(contract);
                 }
-                let mut estimate = app.on_sensed(&scan, arrival);
-                app.conclude(&mut estimate);
-                on_estimate(&scan, &estimate, app)?;
-                app.maintain(&Never);
+                let mut answered = app.answer(&scan, arrival, |_, _| ());
+                let (app, estimate) = answered.parts();
+                on_estimate(&scan, estimate, app)?;
+                answered.maintain(&Never);
             }
             Err(error) => log.note(&error),
         }

@@ -71,6 +71,8 @@ struct State {
     problem: Option<String>,
     /// What is not as it should be.
     conditions: BTreeSet<&'static str>,
+    /// Scans show the robot where odometry had it so much earlier, s; where that is known.
+    odometry_lag: Option<f64>,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -113,6 +115,11 @@ impl Monitor {
         } else {
             state.conditions.remove(condition);
         }
+    }
+
+    /// Scans show the robot where odometry had it so much earlier, s.
+    pub(super) fn set_odometry_lag(&self, lag: f64) {
+        self.lock().odometry_lag = Some(lag);
     }
 
     /// The state, and a new beginning for what is kept of one period only.
@@ -205,7 +212,8 @@ impl Report {
         latencies.sort_unstable();
         let latency = |percent| format!("{:.3}", percentile(&latencies, percent).unwrap_or_default().as_secs_f64() * 1e3);
         let not_done = format!("scans not {}", self.task.done);
-        [
+        let lag = self.state.odometry_lag.map(|lag| ("odometry lag [s]", format!("{lag:.2}")));
+        let all = [
             ("rate [Hz]", format!("{:.1}", self.since(|c| c.answered) as f64 / self.seconds)),
             ("scans answered", counts.answered.to_string()),
             (not_done.as_str(), counts.failed.to_string()),
@@ -217,9 +225,8 @@ impl Report {
             ("latency p50 [ms]", latency(50)),
             ("latency p99 [ms]", latency(99)),
             ("latency max [ms]", latency(100)),
-        ]
-        .map(|(key, value)| KeyValue { key: key.into(), value })
-        .into()
+        ];
+        all.into_iter().chain(lag).map(|(key, value)| KeyValue { key: key.into(), value }).collect()
     }
 }
 

@@ -3,7 +3,8 @@
 //!
 //! ```text
 //!  threads of links           matching thread               main thread
-//!  subscriptions --> mailbox --> matcher --> publishers     supervisor: signals, diagnostics at 1 Hz, the master
+//!  subscriptions --> mailbox --> worker  --> publishers     supervisor: signals, diagnostics at 1 Hz, the master
+//!                              (matcher, particle_filter)
 //! ```
 //!
 //! Invariants: callbacks only note the arrival and fill the `mailbox`, so that nothing that is slow ever delays reception; a scan is
@@ -22,6 +23,7 @@ mod links;
 mod live_params;
 mod log;
 mod mailbox;
+pub mod mapper;
 mod master;
 mod matcher;
 mod node;
@@ -44,6 +46,7 @@ mod subscriptions;
 mod supervisor;
 mod tcpros;
 mod transform_output;
+mod worker;
 
 pub use node::{run, run_as_laser_scan_matcher};
 

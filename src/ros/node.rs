@@ -11,13 +11,15 @@ use super::links::Links;
 use super::live_params::{Change, ParameterWatch};
 use super::log::Log;
 use super::mailbox::{Event, Mailbox};
+use super::mapper::Mapping;
 use super::master::{MasterLink, resolved};
-use super::matcher::{Matcher, Shared};
+use super::matcher::Matcher;
 use super::publishers::Publishers;
 use super::shutdown::StopSignal;
-use super::subscriptions::{Input, subscribe};
+use super::subscriptions::Input;
 use super::supervisor::{self, Parts, Supervisor};
 use super::transform_output::TransformOutput;
+use super::worker::{NodeInput as _, Shared, Worker, subscribe};
 use super::{NodeError, params, services, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
@@ -34,7 +36,7 @@ const TASK: Task = Task { title: "scan matching", doing: "matching", done: "matc
 pub fn run() -> Result<(), NodeError> {
     shell::run(NAME, |ros, master, stop| {
         let config = params::read(master, ros.name())?;
-        serve(ros, master, stop, &config, &Face::native(&config))
+        serve(ros, master, stop, &config, &Face::native(&config), |_, _, _| Ok(None))
     })
 }
 
@@ -42,11 +44,19 @@ pub fn run() -> Result<(), NodeError> {
 pub fn run_as_laser_scan_matcher() -> Result<(), NodeError> {
     shell::run(NAME, |ros, master, stop| {
         let (config, face) = compat::read(master, ros.name())?;
-        serve(ros, master, stop, &config, &face)
+        serve(ros, master, stop, &config, &face, |_, _, _| Ok(None))
     })
 }
 
-fn serve(ros: &Ros, master: &Master, stop: &StopSignal, config: &Config, face: &Face) -> Result<(), NodeError> {
+/// The scan matcher; `mapping` starts a map beside it, or none.
+pub(super) fn serve(
+    ros: &Ros,
+    master: &Master,
+    stop: &StopSignal,
+    config: &Config,
+    face: &Face,
+    mapping: impl FnOnce(&Arc<dyn Clock>, &Arc<Monitor>, &Log) -> Result<Option<Mapping>, NodeError>,
+) -> Result<(), NodeError> {
     let log = Log::new(ros)?;
     if !face.ignored.is_empty() {
         log.warn(&format!("these parameters mean nothing here and are ignored: {}", face.ignored.join(", ")));
@@ -55,7 +65,9 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal, config: &Config, face: &
     let transform = Arc::new(TransformOutput::default());
     transform.switch(ros, &config.frames.base_frame, config.frames.publish_tf)?;
     transform.switch(ros, &config.frames.odom_frame, config.frames.publish_map_tf)?;
-    let parts = start(ros, config, face, &log, &transform)?;
+    let (clock, monitor): (Arc<dyn Clock>, _) = (Arc::new(MonotonicClock::default()), Arc::new(Monitor::default()));
+    let mut mapping = mapping(&clock, &monitor, &log)?;
+    let parts = start(ros, config, face, (clock, monitor, &log), &transform, mapping.as_mut())?;
     let mut changes = Changes {
         watch: ParameterWatch::new(master, ros.name(), config)?,
         mailbox: Arc::clone(&parts.mailbox),
@@ -66,6 +78,9 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal, config: &Config, face: &
     let supervisor = Supervisor::new(ros, master, parts, &log)?;
     announce(ros, &log, config)?;
     supervisor.run(stop, |master| changes.look(master));
+    if let Some(mapping) = mapping {
+        mapping.end();
+    }
     Ok(())
 }
 
@@ -73,11 +88,11 @@ fn start<'a>(
     ros: &'a Ros,
     config: &Config,
     face: &Face,
-    log: &Log,
+    (clock, monitor, log): (Arc<dyn Clock>, Arc<Monitor>, &Log),
     transform: &Arc<TransformOutput>,
+    mapping: Option<&mut Mapping>,
 ) -> Result<Parts<'a, Input>, NodeError> {
-    let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
-    let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
+    let mailbox = Arc::new(Mailbox::default());
     let interrupts = Arc::new(Interrupts::new(config.contract.shared_memory.as_deref())?);
     let mut app = App::new(config, Arc::clone(&clock))?;
     app.warm_up()?;
@@ -88,17 +103,23 @@ fn start<'a>(
     roles.extend(face.inputs.iter().map(|input| input.topic().role()));
 
     let (save_profile, replies) = services::save_profile(ros, &mailbox)?;
-    let services = vec![services::reset(ros, RESET, &mailbox)?, save_profile];
+    let mut services = vec![services::reset(ros, RESET, &mailbox)?, save_profile];
+    let mut feed = None;
+    if let Some(mapping) = mapping {
+        services.append(&mut mapping.services);
+        roles.append(&mut mapping.roles);
+        feed = mapping.feed.take();
+    }
     let shared = Shared {
         mailbox: Arc::clone(&mailbox),
         interrupts: Arc::clone(&interrupts),
         clock: Arc::clone(&clock),
         monitor: Arc::clone(&monitor),
-        replies,
         log: log.clone(),
+        takes_clouds: config.cloud.input,
     };
-    let matcher = Matcher::new(app, publishers, shared);
-    let worker = supervisor::spawn("matching", || matcher.run())?;
+    let matcher = Matcher::new(app, publishers, replies, feed);
+    let worker = supervisor::spawn("matching", || Worker::new(matcher, shared).run(None))?;
     let links = Links::new(ros, &clock, log)?;
     face.inputs.iter().try_for_each(|&input| subscribe(&links, input, &mailbox, &interrupts))?;
     Ok(Parts { clock, mailbox, monitor, diagnostics, worker, links, services, roles })

@@ -12,6 +12,9 @@ use thread_priority::{
 const REAL_TIME: ThreadSchedulePolicy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
 const NORMAL: ThreadSchedulePolicy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
 
+/// The `nice` value of such work.
+const LEISURELY: i32 = 10;
+
 /// Whether a thread goes before all programs of normal priority. To be so only while an answer is due within a time budget: nobody
 /// else has to wait for longer than that.
 pub(super) struct Urgency {
@@ -49,6 +52,11 @@ pub(super) fn urgently<T>(work: impl FnOnce() -> T) -> T {
     let result = work();
     urgency.set(false);
     result
+}
+
+/// Lets the calling thread go after all others of its process, and of normal priority: for work that nobody waits for.
+pub(super) fn give_way() {
+    let _ = rustix::process::setpriority_process(None, LEISURELY); // on Linux of the thread; nobody is worse off without
 }
 
 fn assume(policy: ThreadSchedulePolicy, priority: ThreadPriority) -> Result<(), Error> {

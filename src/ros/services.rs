@@ -1,10 +1,11 @@
-//! The services of the nodes, all but one of them `std_srvs/Trigger`: nothing that comes from the network says what to do in detail,
-//! nor names a file. The other one hands the map out.
+//! The services of the nodes, nearly all of them `std_srvs/Trigger`: nothing that comes from the network says what to do in detail,
+//! nor names a file. The others hand maps out.
 
-use std::sync::mpsc::{Sender, channel};
+use std::sync::mpsc::{Sender, SyncSender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use rosrust::RosMsg as _;
 use rosrust::api::Ros;
 use rosrust_msg::nav_msgs::{GetMap, GetMapRes};
 use rosrust_msg::std_srvs::{Trigger, TriggerRes};
@@ -12,6 +13,7 @@ use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 use super::NodeError;
 use super::mailbox::{Event, Mailbox};
 use super::master::Role;
+use crate::messages::{encode, nav_msgs};
 
 /// Longest wait for the matching thread, which may be amid a long match.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -70,6 +72,40 @@ pub(super) fn reset<I: Send + 'static>(
 /// A service that answers with this map.
 pub(super) fn static_map(ros: &Ros, name: &'static str, answer: GetMapRes) -> Result<Service, NodeError> {
     Service::of(name, ros.service::<GetMap, _>(name, move |_| Ok(answer.clone())))
+}
+
+/// The map that was made last, if there is one yet.
+pub(super) type LastMap = Arc<Mutex<Option<nav_msgs::OccupancyGrid>>>;
+
+/// A service that answers with the map that was made last.
+pub(super) fn map(ros: &Ros, name: &'static str, last: LastMap) -> Result<Service, NodeError> {
+    let answer = move |_| {
+        let last = last.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        map_response(&last.ok_or("there is no map yet: no scan has been drawn")?)
+    };
+    Service::of(name, ros.service::<GetMap, _>(name, answer))
+}
+
+/// The same message in rosrust's own type, by way of the wire form that they share.
+pub(super) fn map_response(message: &nav_msgs::OccupancyGrid) -> Result<GetMapRes, String> {
+    let bytes = encode(message).map_err(|error| error.to_string())?;
+    rosrust_msg::nav_msgs::OccupancyGrid::decode(&bytes[..]).map(|map| GetMapRes { map }).map_err(|error| error.to_string())
+}
+
+/// A service that gives an order to another thread and answers with what came of it.
+pub(super) fn ordered<O: Send + 'static>(
+    ros: &Ros,
+    name: &'static str,
+    orders: SyncSender<O>,
+    order: fn(Sender<Reply>) -> O,
+) -> Result<Service, NodeError> {
+    let orders = Mutex::new(orders);
+    Service::offer(ros, name, move || {
+        let (sender, reply) = channel();
+        let orders = orders.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        orders.send(order(sender)).map_err(|_| "the node is ending")?;
+        reply.recv().unwrap_or_else(|_| Err("the node is ending".into()))
+    })
 }
 
 /// The service that puts [`Event::SaveProfile`] into the mailbox, and by what it is to be answered.

@@ -1,13 +1,7 @@
-//! What the node hears.
+//! What the scan matcher hears.
 
-use std::sync::Arc;
-
-use super::NodeError;
-use super::inlet::{Letter, Topic, listen};
-use super::interrupts::Interrupts;
-use super::links::Links;
-use super::mailbox::{Event, Mailbox};
-use super::numbering::Numbering;
+use super::inlet::Topic;
+use super::worker::{Kind, NodeInput};
 use crate::messages::geometry_msgs::{PoseWithCovarianceStamped, Twist, TwistStamped};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::Contract;
@@ -45,13 +39,18 @@ impl Input {
         Self::Transforms,
         Self::StaticTransforms,
     ];
+}
 
-    /// Its name before remapping.
-    pub(super) fn name(self) -> &'static str {
-        self.topic().name
+impl NodeInput for Input {
+    fn kind(self) -> Kind {
+        match self {
+            Self::Scan | Self::Cloud => Kind::Scan,
+            Self::Interrupt => Kind::Interrupt,
+            _ => Kind::Event,
+        }
     }
 
-    pub(super) fn topic(self) -> Topic {
+    fn topic(self) -> Topic {
         match self {
             Self::Scan => Topic::vital::<LaserScan>("scan"),
             Self::Cloud => Topic::vital::<PointCloud2>("cloud"),
@@ -66,24 +65,4 @@ impl Input {
             Self::StaticTransforms => Topic::of::<TFMessage>("/tf_static"),
         }
     }
-}
-
-/// Subscribes to `input`; what comes goes into the mailbox.
-pub(super) fn subscribe(
-    links: &Links,
-    input: Input,
-    mailbox: &Arc<Mailbox>,
-    interrupts: &Arc<Interrupts>,
-) -> Result<(), NodeError> {
-    let (mailbox, interrupts) = (Arc::clone(mailbox), Arc::clone(interrupts));
-    let mut numbering = Numbering::default();
-    let receive = move |letter: Letter| match input {
-        Input::Scan | Input::Cloud => {
-            mailbox.count_lost_scans(numbering.lost_before(&letter).into());
-            mailbox.put_scan(letter);
-        }
-        Input::Interrupt => interrupts.request(),
-        input => mailbox.put_event(Event::Message(input, letter)),
-    };
-    listen(links, input.topic(), receive)
 }

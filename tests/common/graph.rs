@@ -15,8 +15,9 @@ use super::skipped::skip;
 
 pub const PACKAGE: &str = env!("CARGO_MANIFEST_DIR");
 pub const NODE: &str = env!("CARGO_BIN_EXE_scan_matcher");
-const PROGRAMS: [&str; 5] = [
+const PROGRAMS: [&str; 6] = [
     NODE,
+    env!("CARGO_BIN_EXE_mapper"),
     env!("CARGO_BIN_EXE_particle_filter"),
     env!("CARGO_BIN_EXE_path_follower"),
     env!("CARGO_BIN_EXE_contract_demo"),

@@ -29,18 +29,19 @@ use crate::common::corridor;
 use crate::common::graph::{Graph, PATIENCE, Process, eventually};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_particle_filter");
-const TOPICS: [&str; 7] = ["/scan", "/odom", "/pf/pose/odom", "/pf/report", "/pf/viz/particles", "/pf/viz/fake_scan", "/tf"];
+pub(crate) const TOPICS: [&str; 7] =
+    ["/scan", "/odom", "/pf/pose/odom", "/pf/report", "/pf/viz/particles", "/pf/viz/fake_scan", "/tf"];
 
 /// A drive through the corridor as a bag.
-struct Drive {
-    bag: PathBuf,
+pub(crate) struct Drive {
+    pub(crate) bag: PathBuf,
     start: Stamp,
     truth: BTreeMap<Stamp, Pose2>,
 }
 
 impl Drive {
     /// `extra` adds messages; it is told the time of the start.
-    fn write(folder: &Path, seconds: f64, extra: impl FnOnce(&mut BagWriter, Stamp)) -> Self {
+    pub(crate) fn write(folder: &Path, seconds: f64, extra: impl FnOnce(&mut BagWriter, Stamp)) -> Self {
         let mut settings = Settings::default();
         settings.drive.duration = Seconds(seconds);
         settings.lidar.rate = 20.0;
@@ -65,7 +66,7 @@ impl Drive {
     }
 
     /// The parameter that says where the drive begins.
-    fn initial_pose(&self) -> String {
+    pub(crate) fn initial_pose(&self) -> String {
         let pose = self.truth.values().next().unwrap();
         format!("_localization/initial_pose:=[{}, {}, {}]", pose.x, pose.y, pose.theta)
     }
@@ -85,7 +86,7 @@ impl Drive {
 }
 
 /// The corridor as a file of `map_server`.
-fn map_file(folder: &Path) -> String {
+pub(crate) fn map_file(folder: &Path) -> String {
     let grid = corridor();
     let mut image = format!("P5 {} {} 255\n", grid.width(), grid.height()).into_bytes();
     for row in grid.cells().chunks_exact(grid.width()).rev() {
@@ -101,8 +102,8 @@ fn map_file(folder: &Path) -> String {
 
 /// What was recorded.
 #[derive(Default)]
-struct Heard {
-    poses: Vec<(Stamp, Pose2)>,
+pub(crate) struct Heard {
+    pub(crate) poses: Vec<(Stamp, Pose2)>,
     odometry: Vec<Odometry>,
     scans: BTreeMap<Stamp, LaserScan>,
     fake_scans: Vec<LaserScan>,
@@ -112,7 +113,7 @@ struct Heard {
 }
 
 impl Heard {
-    fn read(path: &Path) -> Self {
+    pub(crate) fn read(path: &Path) -> Self {
         let mut heard = Self::default();
         for message in Bag::open(path).unwrap().messages(None) {
             let message = message.unwrap();
@@ -142,7 +143,7 @@ impl Heard {
     }
 
     /// Every pose is where the robot was, within `tolerance`, m.
-    fn check_poses(&self, drive: &Drive, tolerance: f64) {
+    pub(crate) fn check_poses(&self, drive: &Drive, tolerance: f64) {
         for (stamp, pose) in &self.poses {
             let error = drive.error(*stamp, pose);
             assert!(error.distance() < tolerance && error.theta.abs() < 0.1, "at {stamp}: {error:?}");

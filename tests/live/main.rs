@@ -9,6 +9,7 @@ mod contracts;
 #[cfg(target_os = "linux")]
 mod faults;
 mod localization;
+mod mapper;
 mod mounts;
 mod node;
 mod path_follower;

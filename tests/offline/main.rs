@@ -21,6 +21,7 @@ mod initial_pose;
 mod layers;
 #[cfg(target_os = "linux")]
 mod licences;
+mod live_map;
 mod localization;
 mod mapping;
 mod no_allocation;

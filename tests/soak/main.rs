@@ -5,6 +5,7 @@
 mod accuracy;
 #[path = "../common/mod.rs"]
 mod common;
+mod live_map;
 mod localization;
 mod log_variants;
 mod logs;

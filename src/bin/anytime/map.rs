@@ -13,7 +13,7 @@ use anytime_scan_matcher::evaluation::trajectory::StampedPose;
 use anytime_scan_matcher::geometry::Point;
 use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::io::contract_schedule::ContractSchedule;
-use anytime_scan_matcher::io::map_file;
+use anytime_scan_matcher::io::map_files::{MapFiles, MapPaths, ending};
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::map::grid::OccupancyGrid;
 use anytime_scan_matcher::mapping::{EdgeKind, Mapper, SelfHits};
@@ -69,20 +69,13 @@ fn resolution(text: &str) -> Result<f64, String> {
 
 /// The files that a map is made of.
 struct Outputs {
-    yaml: PathBuf,
-    image: PathBuf,
+    map: MapPaths,
     picture: PathBuf,
-    graph: PathBuf,
 }
 
 impl Outputs {
     fn new(prefix: &Path) -> Self {
-        let named = |ending: &str| {
-            let mut name = prefix.as_os_str().to_owned();
-            name.push(ending);
-            PathBuf::from(name)
-        };
-        Self { yaml: named(".yaml"), image: named(".pgm"), picture: named(".png"), graph: named(".graph") }
+        Self { map: MapPaths::new(prefix), picture: ending(prefix, ".png") }
     }
 }
 
@@ -90,7 +83,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let mut config = arguments.input.configuration.load()?;
     let outputs = Outputs::new(&arguments.out);
     files(arguments, &config, &outputs).check()?;
-    let mut files = MapFiles::create(&outputs, arguments.tum.as_deref())?;
+    let mut files = OutputFiles::create(&outputs, arguments.tum.as_deref())?;
     let clock = arguments.input.clock.clock();
     let mut survey = Survey::of(arguments, &config, &clock)?;
     let own = survey.self_hits.found();
@@ -110,7 +103,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     (stages.graph, stages.grid) = (drawn.saturating_sub(start), clock.now().saturating_sub(drawn));
     let path = mapper.trajectory();
     problems.extend(reservations(&mapper, &path));
-    files.write(&mapper, &map, &path, &outputs.image)?;
+    files.write(&mapper, &map, &path)?;
     let summary = MapSummary::new(&mapper, &path, &map, found, stages, problems);
     let roles = self::files(arguments, &config, &outputs);
     Ok(roles.shown(arguments.json, || summary.to_json(), || summary.to_text()))
@@ -198,49 +191,45 @@ fn files<'a>(arguments: &'a Arguments, config: &'a Config, outputs: &'a Outputs)
     let bags = arguments.bags.iter();
     bags.fold(Files::default(), |files, bag| files.read("the bag", Some(bag)))
         .of(&arguments.input, config)
-        .read("--extend", arguments.extend.as_deref().filter(|old| *old != outputs.graph))
+        .read("--extend", arguments.extend.as_deref().filter(|old| *old != outputs.map.graph))
         .written("--tum", arguments.tum.as_deref())
-        .written("--out, the graph", Some(&outputs.graph))
-        .written("--out, the map", Some(&outputs.yaml))
-        .written("--out, its image", Some(&outputs.image))
+        .written("--out, the graph", Some(&outputs.map.graph))
+        .written("--out, the map", Some(&outputs.map.yaml))
+        .written("--out, its image", Some(&outputs.map.image))
         .written("--out, the picture", Some(&outputs.picture))
 }
 
 /// The files being written: begun before the work, so that a folder that cannot be written to is told at once.
-struct MapFiles {
-    yaml: OutputFile,
-    image: OutputFile,
+struct OutputFiles {
+    map: MapFiles,
     picture: OutputFile,
-    graph: OutputFile,
     tum: Option<OutputFile>,
 }
 
-impl MapFiles {
+impl OutputFiles {
     fn create(outputs: &Outputs, tum: Option<&Path>) -> anyhow::Result<Self> {
         let create = |path: &Path| OutputFile::create(path).with_context(|| format!("cannot create {}", path.display()));
         Ok(Self {
-            yaml: create(&outputs.yaml)?,
-            image: create(&outputs.image)?,
+            map: MapFiles::create(outputs.map.clone())?,
             picture: create(&outputs.picture)?,
-            graph: create(&outputs.graph)?,
             tum: tum.map(create).transpose()?,
         })
     }
 
-    fn write(&mut self, mapper: &Mapper, map: &OccupancyGrid, path: &[StampedPose], image_path: &Path) -> anyhow::Result<()> {
-        map_file::write(map, image_path, &mut self.yaml, &mut self.image).context("cannot write the map")?;
+    fn write(&mut self, mapper: &Mapper, map: &OccupancyGrid, path: &[StampedPose]) -> anyhow::Result<()> {
+        self.map.write(map, &mapper.to_bytes())?;
         let places: Vec<Point> = path.iter().map(|stamped| stamped.pose.translation()).collect();
         let place = |keyframe: usize| mapper.graph().poses()[keyframe].translation();
         let loops = mapper.graph().edges().iter().filter(|edge| edge.kind == EdgeKind::Loop);
         let loops: Vec<(Point, Point)> = loops.map(|edge| (place(edge.from), place(edge.to))).collect();
         Picture { map, path: &places, loops: &loops }.write_png(&mut self.picture).context("cannot write the picture")?;
-        self.graph.write_all(&mapper.to_bytes()).context("cannot write the graph")?;
         if let Some(tum) = &mut self.tum {
             let mut lines = TumWriter::new(Vec::new());
             path.iter().try_for_each(|pose| lines.write(pose))?;
             tum.write_all(&lines.into_sink()).context("cannot write the trajectory")?;
         }
-        let files = [&mut self.image, &mut self.yaml, &mut self.picture, &mut self.graph].into_iter().chain(&mut self.tum);
+        self.map.commit()?;
+        let files = std::iter::once(&mut self.picture).chain(&mut self.tum);
         files.into_iter().try_for_each(OutputFile::commit).context("cannot put the files in their places")
     }
 }

@@ -1,13 +1,11 @@
 //! The map of a file, for others who want to see it: as `map_server` publishes and serves it.
 
-use rosrust::RosMsg as _;
 use rosrust::api::Ros;
-use rosrust_msg::nav_msgs::GetMapRes;
 
 use crate::app::map_message;
 use crate::config::Config;
 use crate::map::grid::OccupancyGrid;
-use crate::messages::{encode, nav_msgs};
+use crate::messages::nav_msgs;
 use crate::ros::NodeError;
 use crate::ros::log::Log;
 use crate::ros::master::{Role, connect, resolved};
@@ -34,7 +32,8 @@ impl MapServer {
         let server = Self { map: Outlet::latched(ros, MAP)?, metadata: Outlet::latched(ros, "map_metadata")? };
         server.metadata.keep(&message.info);
         server.map.keep(&message);
-        let service = services::static_map(ros, STATIC_MAP, response(&message)?)?;
+        let answer = services::map_response(&message).map_err(|problem| NodeError::ros("serve the map", &problem))?;
+        let service = services::static_map(ros, STATIC_MAP, answer)?;
         log.info(&format!("publishes it as {} and serves it as {}", resolved(ros, MAP)?, resolved(ros, STATIC_MAP)?));
         Ok(Some((server, service)))
     }
@@ -51,13 +50,4 @@ fn other_publisher(ros: &Ros) -> Result<Option<String>, NodeError> {
     let state = master.get_system_state().map_err(|error| NodeError::ros("ask who publishes the map", &error))?;
     let entry = rosrust::api::SystemState::from(state).publishers.into_iter().find(|entry| entry.name == topic);
     Ok(entry.and_then(|entry| entry.connections.into_iter().find(|node| node != ros.name())))
-}
-
-/// The same message in rosrust's own type, by way of the wire form that they share.
-fn response(message: &nav_msgs::OccupancyGrid) -> Result<GetMapRes, NodeError> {
-    let failed = |problem: String| NodeError::ros("serve the map", &problem);
-    let bytes = encode(message).map_err(|error| failed(error.to_string()))?;
-    rosrust_msg::nav_msgs::OccupancyGrid::decode(&bytes[..])
-        .map(|map| GetMapRes { map })
-        .map_err(|error| failed(error.to_string()))
 }

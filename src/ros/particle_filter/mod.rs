@@ -7,21 +7,22 @@
 //! ```
 
 mod convert;
+mod filter_node;
 mod map_server;
 mod publishers;
 mod subscriptions;
-mod worker;
 
 use std::path::Path;
 use std::sync::Arc;
 
 use rosrust::api::{Master, Ros};
 
+use self::filter_node::FilterNode;
 use self::map_server::MapServer;
 use self::publishers::Publishers;
-use self::subscriptions::{Input, subscribe};
-use self::worker::Worker;
+use self::subscriptions::Input;
 use super::diagnostics::{Diagnostics, Monitor, Task};
+use super::interrupts::Interrupts;
 use super::links::Links;
 use super::log::Log;
 use super::mailbox::Mailbox;
@@ -29,10 +30,10 @@ use super::master::resolved;
 use super::node::describe;
 use super::shutdown::StopSignal;
 use super::supervisor::{self, Parts, Supervisor};
+use super::worker::{NodeInput as _, Shared, Worker, subscribe};
 use super::{NodeError, params, services, shell};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
-use crate::anytime::interrupt::Request;
 use crate::config::Config;
 use crate::io::map_file;
 use crate::map::grid::OccupancyGrid;
@@ -60,7 +61,7 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError>
 fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input>, NodeError> {
     let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
     let (mailbox, monitor) = (Arc::new(Mailbox::default()), Arc::new(Monitor::default()));
-    let request = Arc::new(Request::default());
+    let interrupts = Arc::new(Interrupts::new(None)?);
     let map = read_map_file(config, log);
     let map_server = map.as_ref().map(|map| MapServer::new(ros, config, log, map)).transpose()?.flatten();
     let (map_server, static_map) = map_server.unzip();
@@ -71,17 +72,17 @@ fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input
 
     let services = [services::reset(ros, GLOBAL, &mailbox)?].into_iter().chain(static_map).collect();
     let links = Links::new(ros, &clock, log)?;
-    Input::wanted(config).try_for_each(|input| subscribe(&links, input, &mailbox, &request))?;
-    let worker = Worker::new(
-        config.clone(),
-        publishers,
-        Arc::clone(&mailbox),
-        request,
-        Arc::clone(&clock),
-        Arc::clone(&monitor),
-        log.clone(),
-    );
-    let worker = supervisor::spawn("localizing", || worker.run(map))?;
+    Input::wanted(config).try_for_each(|input| subscribe(&links, input, &mailbox, &interrupts))?;
+    let shared = Shared {
+        mailbox: Arc::clone(&mailbox),
+        interrupts,
+        clock: Arc::clone(&clock),
+        monitor: Arc::clone(&monitor),
+        log: log.clone(),
+        takes_clouds: config.cloud.input,
+    };
+    let (node, timer) = (FilterNode::new(config.clone(), publishers, map), config.localization.timer(clock.now()));
+    let worker = supervisor::spawn("localizing", || Worker::new(node, shared).run(timer))?;
     Ok(Parts { clock, mailbox, monitor, diagnostics, worker, links, services, roles })
 }
 

@@ -1,8 +1,5 @@
 //! What the node hears.
 
-use std::sync::Arc;
-
-use crate::anytime::interrupt::Request;
 use crate::config::Config;
 use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};
 use crate::messages::nav_msgs::{OccupancyGrid, Odometry};
@@ -10,11 +7,8 @@ use crate::messages::own::Contract;
 use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::std_msgs::Empty;
 use crate::messages::tf2_msgs::TFMessage;
-use crate::ros::NodeError;
-use crate::ros::inlet::{Letter, Topic, listen};
-use crate::ros::links::Links;
-use crate::ros::mailbox::{Event, Mailbox};
-use crate::ros::numbering::Numbering;
+use crate::ros::inlet::Topic;
+use crate::ros::worker::{Kind, NodeInput};
 
 /// A topic the node listens to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,13 +44,18 @@ impl Input {
         let other = if config.cloud.input { Self::Scan } else { Self::Cloud };
         Self::ALL.into_iter().filter(move |input| *input != other)
     }
+}
 
-    /// Its name before remapping.
-    pub(super) fn name(self) -> &'static str {
-        self.topic().name
+impl NodeInput for Input {
+    fn kind(self) -> Kind {
+        match self {
+            Self::Scan | Self::Cloud => Kind::Scan,
+            Self::Interrupt => Kind::Interrupt,
+            _ => Kind::Event,
+        }
     }
 
-    pub(super) fn topic(self) -> Topic {
+    fn topic(self) -> Topic {
         match self {
             Self::Scan => Topic::vital::<LaserScan>("scan"),
             Self::Cloud => Topic::vital::<PointCloud2>("cloud"),
@@ -70,24 +69,4 @@ impl Input {
             Self::StaticTransforms => Topic::of::<TFMessage>("/tf_static"),
         }
     }
-}
-
-/// Subscribes to `input`; what comes goes into the mailbox.
-pub(super) fn subscribe(
-    links: &Links,
-    input: Input,
-    mailbox: &Arc<Mailbox<Input>>,
-    request: &Arc<Request>,
-) -> Result<(), NodeError> {
-    let (mailbox, request) = (Arc::clone(mailbox), Arc::clone(request));
-    let mut numbering = Numbering::default();
-    let receive = move |letter: Letter| match input {
-        Input::Scan | Input::Cloud => {
-            mailbox.count_lost_scans(numbering.lost_before(&letter).into());
-            mailbox.put_scan(letter);
-        }
-        Input::Interrupt => request.make(),
-        input => mailbox.put_event(Event::Message(input, letter)),
-    };
-    listen(links, input.topic(), receive)
 }

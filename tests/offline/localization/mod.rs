@@ -303,7 +303,7 @@ fn nothing_is_evidence_twice_and_bad_scans_change_nothing() {
     assert_eq!(take(&mut localizer, &scans[0]), Err(NoEvidence::NotNewer));
     let mut broken = scans[2].clone();
     broken.ranges.truncate(5);
-    assert!(matches!(take(&mut localizer, &broken), Err(NoEvidence::Malformed(_))));
+    assert!(matches!(take(&mut localizer, &broken), Err(NoEvidence::Unusable(_))));
     assert!(poses.iter().eq(localizer.filter().poses().collect::<Vec<_>>().iter()));
     // Outside the map nothing can be said, and nothing breaks.
     localizer.start_at(&Pose2::new(1e4, -1e4, 0.0), None);

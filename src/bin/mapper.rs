@@ -1,0 +1,27 @@
+//! The scan matcher with a map, as a ROS 1 node.
+#![allow(clippy::print_stdout, clippy::print_stderr)] // a program speaks to its user
+
+mod node_program;
+
+use std::process::ExitCode;
+
+use anytime_scan_matcher::config::Config;
+use anytime_scan_matcher::ros::mapper;
+use node_program::{NodeProgram, own_arguments};
+
+const USAGE: &str = "\
+Matches laser scans and makes a map of what they show, while the robot drives. A ROS 1 node; waits for the master when there is none.
+
+Usage: mapper [TOPIC:=OTHER_TOPIC]... [_PARAMETER:=VALUE]... [__name:=NAME] [__ns:=NAMESPACE]
+
+Subscribes to:  what scan_matcher does
+Publishes:      what scan_matcher does, and map, map_metadata, mapper/graph
+Services:       what scan_matcher has, and dynamic_map, ~save_map
+
+Parameters, in the node's private namespace (~mapping/resolution), or in the YAML file that ~config names:";
+
+fn main() -> ExitCode {
+    let is_used = |path: &str| !path.starts_with("localization");
+    let parameters = Config::default().table().into_iter().filter(|(path, _)| is_used(path)).collect();
+    NodeProgram { name: "mapper", usage: USAGE, parameters, run: mapper::run }.main(&own_arguments())
+}
