@@ -300,7 +300,7 @@ impl App {
         let Intake { clock, costs, mount, .. } = &mut self.intake;
         let mut driver = Driver::new(task, &**clock, &*self.interrupt, costs);
         let registration = match scan {
-            Ok(scan) => self.odometry.register(&scan, &mount.base_from_laser, &mut driver),
+            Ok(scan) => self.odometry.register_within(&scan, &mount.base_from_laser, &mut driver),
             Err(problem) => {
                 self.counters.malformed_scans += 1;
                 self.odometry.answer_unusable(stamp, failure(&problem))

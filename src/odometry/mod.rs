@@ -1,6 +1,6 @@
 //! Laser odometry: predict, match, keep the reference up to date.
 //!
-//! [`LaserOdometry::register`] is the whole of it. Frames: `map` is where the keyframes are, and drifts as little as they let it;
+//! [`LaserOdometry::register_within`] is the whole of it. Frames: `map` is where the keyframes are, and drifts as little as they let it;
 //! `odom` is where the pose never jumps (REP 105); `base` is the robot, `laser` the sensor, and the keyframe is the reference scan's
 //! laser. When a place is recognised, map and odom part: [`Registration::map_from_odom`].
 
@@ -19,7 +19,13 @@ pub mod sources;
 pub mod uncertainty;
 pub mod wheel;
 
-use crate::anytime::{Driver, ErrorEstimate, estimated_error};
+use std::time::Duration;
+
+use crate::anytime::clock::VirtualClock;
+use crate::anytime::contract::Contract;
+use crate::anytime::cost_model::CostModel;
+use crate::anytime::interrupt::Never;
+use crate::anytime::{Driver, ErrorEstimate, Task, estimated_error};
 use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
 use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
@@ -286,8 +292,40 @@ impl LaserOdometry {
         !self.waited_in_vain && self.sources.is_behind(stamp)
     }
 
-    /// The answer for a scan: where the base was when it was taken. `base_from_laser` is the laser's place on the base.
-    pub fn register(&mut self, scan: &Scan, base_from_laser: &Pose2, driver: &mut Driver) -> Registration {
+    /// The answer for a scan: where the base was when it was taken, whatever time it takes to find out. `base_from_laser` is the laser's
+    /// place on the base.
+    ///
+    /// ```
+    /// use anytime_scan_matcher::geometry::Pose2;
+    /// use anytime_scan_matcher::matching::{MatchingKnobs, rejection::RejectionKnobs};
+    /// use anytime_scan_matcher::odometry::{LaserOdometry, OdometryKnobs};
+    /// use anytime_scan_matcher::scan::{BeamGeometry, Scan};
+    /// use anytime_scan_matcher::time::Stamp;
+    ///
+    /// // What a laser sees that drives at 1 m/s in a room of 6 m by 4 m.
+    /// let scan = |seconds: f64| {
+    ///     let range = |i: i32| {
+    ///         let (sin, cos) = (f64::from(i - 180) * 0.0174).sin_cos();
+    ///         let along = (cos.signum() * 3.0 - seconds) / cos;
+    ///         along.min(sin.signum() * 2.0 / sin)
+    ///     };
+    ///     let ranges = (0..361).map(range).collect();
+    ///     Scan::new(Stamp::from_seconds(seconds), BeamGeometry::new(-180.0 * 0.0174, 0.0174, 361).into(), (0.05, 30.0), ranges)
+    /// };
+    /// let mut odometry = LaserOdometry::new(&OdometryKnobs::default(), &MatchingKnobs::default(), &RejectionKnobs::default());
+    /// for i in 0..20 {
+    ///     let answer = odometry.register(&scan(0.05 * f64::from(i)).unwrap(), &Pose2::IDENTITY);
+    ///     assert!((answer.odom_from_base.x - 0.05 * f64::from(i)).abs() < 0.01);
+    /// }
+    /// ```
+    pub fn register(&mut self, scan: &Scan, base_from_laser: &Pose2) -> Registration {
+        let (clock, mut costs) = (VirtualClock::new(Duration::ZERO), CostModel::new(0.5));
+        let task = Task { contract: Contract::default(), arrival: Duration::ZERO, taken_up: Duration::ZERO };
+        self.register_within(scan, base_from_laser, &mut Driver::new(task, &clock, &Never, &mut costs))
+    }
+
+    /// The same within a contract: the best answer there is when `driver` says that time is up, or that it is good enough.
+    pub fn register_within(&mut self, scan: &Scan, base_from_laser: &Pose2, driver: &mut Driver) -> Registration {
         self.maintain();
         self.matched_points = None;
         self.iterations.clear();
@@ -430,7 +468,7 @@ impl LaserOdometry {
         Found { report, keyframe_from_laser, agreement, answer: Ok(answer) }
     }
 
-    /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register`] does it otherwise.
+    /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register_within`] does it otherwise.
     pub fn maintain(&mut self) {
         self.unfinished = None;
         let keeps_map = self.knobs.reference == ReferenceChoice::LocalMap;
@@ -685,8 +723,9 @@ impl LaserOdometry {
         let said = said.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion) });
         let said_turn = self.sources.turn_by_imu(last.stamp, stamp);
         self.count_disbelieved(said.is_some());
-        let steady = expected.with_noise(self.noise.velocity);
-        let known = said.map_or(steady, |said| said.with_noise(self.noise.odometry).and(&steady));
+        // Where nothing else is known, a velocity that was wrong is no worse than before: a robot that was carried off drives on.
+        let fused = |said: Prediction| said.with_noise(self.noise.odometry).and(&expected.with_noise(self.noise.velocity));
+        let known = said.map_or(expected, fused);
         self.sources.believe_imu(!self.noise.imu.is_disbelieved());
         let prediction = self.sources.with_heading(&known, last.stamp, stamp);
         Attempt { last: *last, prediction, expected, said, said_turn, base_from_laser: *base_from_laser }
