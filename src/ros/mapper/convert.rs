@@ -31,12 +31,14 @@ pub(super) fn markers(mapper: &Mapper, stamp: Stamp, frame: &str) -> [Marker; 3]
 fn marker(stamp: Stamp, frame: &str, (id, kind, size): (i32, u8, f64), [r, g, b]: [f32; 3], points: Vec<Point>) -> Marker {
     let mut place = pose(&Pose2::IDENTITY);
     place.position.z = LAYER * f64::from(id + 1);
+    // RViz takes lines without ends for an error.
+    let action = if points.is_empty() { Marker::DELETE } else { Marker::ADD };
     Marker {
         header: header(0, stamp, frame),
         ns: "graph".into(),
         id,
         type_: i32::from(kind),
-        action: i32::from(Marker::ADD),
+        action: i32::from(action),
         pose: place,
         scale: Vector3 { x: size, y: size, z: 0.0 },
         color: ColorRGBA { r, g, b, a: 1.0 },
