@@ -309,7 +309,7 @@ impl LaserOdometry {
     ///         let along = (cos.signum() * 3.0 - seconds) / cos;
     ///         along.min(sin.signum() * 2.0 / sin)
     ///     };
-    ///     let ranges = (0..361).map(range).collect();
+    ///     let ranges: Vec<f64> = (0..361).map(range).collect();
     ///     Scan::new(Stamp::from_seconds(seconds), BeamGeometry::new(-180.0 * 0.0174, 0.0174, 361).into(), (0.05, 30.0), ranges)
     /// };
     /// let mut odometry = LaserOdometry::new(&OdometryKnobs::default(), &MatchingKnobs::default(), &RejectionKnobs::default());
