@@ -184,7 +184,8 @@ mod tests {
         let mut sources = MotionSources::default();
         let covariance = uncertainty::diagonal(0.035, 0.11);
         let straight = Prediction { motion: Pose2::new(0.1, 0.0, 0.0), covariance };
-        assert_eq!(sources.with_heading(&straight, at(0.0), at(0.1)).motion, straight.motion);
+        let unturned = sources.with_heading(&straight, at(0.0), at(0.1));
+        assert_eq!((unturned.motion, unturned.covariance), (straight.motion, straight.covariance));
         for (seconds, yaw) in [(0.0, 0.0), (0.1, 0.2)] {
             sources.push_heading(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 2.0 });
         }

@@ -1,7 +1,7 @@
 //! What the scan matcher hears.
 
 use super::inlet::Topic;
-use super::worker::{Kind, NodeInput};
+use super::worker::NodeInput;
 use crate::messages::geometry_msgs::{PoseWithCovarianceStamped, Twist, TwistStamped};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::Contract;
@@ -42,14 +42,6 @@ impl Input {
 }
 
 impl NodeInput for Input {
-    fn kind(self) -> Kind {
-        match self {
-            Self::Scan | Self::Cloud => Kind::Scan,
-            Self::Interrupt => Kind::Interrupt,
-            _ => Kind::Event,
-        }
-    }
-
     fn topic(self) -> Topic {
         match self {
             Self::Scan => Topic::vital::<LaserScan>("scan"),

@@ -37,9 +37,15 @@ pub(super) enum Kind {
 
 /// A topic that a node listens to.
 pub(super) trait NodeInput: Copy + Send + Sync + 'static {
-    fn kind(self) -> Kind;
-
     fn topic(self) -> Topic;
+
+    fn kind(self) -> Kind {
+        match self.topic().name {
+            "scan" | "cloud" => Kind::Scan,
+            "icp_interrupt" => Kind::Interrupt,
+            _ => Kind::Event,
+        }
+    }
 
     /// Its name before remapping.
     fn name(self) -> &'static str {
@@ -56,7 +62,8 @@ pub(super) fn subscribe<I: NodeInput>(
 ) -> Result<(), NodeError> {
     let (mailbox, interrupts) = (Arc::clone(mailbox), Arc::clone(interrupts));
     let mut numbering = Numbering::default();
-    let receive = move |letter: Letter| match input.kind() {
+    let kind = input.kind();
+    let receive = move |letter: Letter| match kind {
         Kind::Scan => {
             mailbox.count_lost_scans(numbering.lost_before(&letter).into());
             mailbox.put_scan(letter);

@@ -39,6 +39,7 @@ fn the_demo_is_matched_as_well_as_stated() {
     assert_eq!((summary["scans"].as_u64(), summary["failed"].as_u64()), (Some(400), Some(0)));
     // A fifth more than the 1.1 mm of docs/figures.md.
     assert!(summary["ate_rmse_m"].as_f64().unwrap() < 0.001_32, "{summary}");
+    assert!(summary["rpe_1m_rmse_m"].as_f64().unwrap() < 0.001_32, "{summary}");
     // The truth is on a topic too.
     let by_topic = json(&["replay", "bags/demo.bag", "--truth", "/gt_pose", "--json"]);
     let difference = summary["ate_rmse_m"].as_f64().unwrap() - by_topic["ate_rmse_m"].as_f64().unwrap();

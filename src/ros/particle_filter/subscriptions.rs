@@ -8,7 +8,7 @@ use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::std_msgs::Empty;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::ros::inlet::Topic;
-use crate::ros::worker::{Kind, NodeInput};
+use crate::ros::worker::NodeInput;
 
 /// A topic the node listens to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,14 +47,6 @@ impl Input {
 }
 
 impl NodeInput for Input {
-    fn kind(self) -> Kind {
-        match self {
-            Self::Scan | Self::Cloud => Kind::Scan,
-            Self::Interrupt => Kind::Interrupt,
-            _ => Kind::Event,
-        }
-    }
-
     fn topic(self) -> Topic {
         match self {
             Self::Scan => Topic::vital::<LaserScan>("scan"),
