@@ -11,6 +11,7 @@ use super::{ReplayLog, microseconds};
 use crate::anytime::ErrorEstimate;
 use crate::anytime::mode::Outside;
 use crate::app::{Estimate, MountSource};
+use crate::evaluation::consistency::{Claim, Consistency};
 use crate::evaluation::report::Report;
 use crate::evaluation::statistics::percentile;
 use crate::evaluation::trajectory::StampedPose;
@@ -20,6 +21,7 @@ use crate::odometry::{FailureReason, OdometryCounters, Outcome};
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
     poses: Vec<StampedPose>,
+    claims: Vec<Claim>,
     elapsed: Vec<Duration>,
     iterations: u64,
     matched: usize,
@@ -48,6 +50,8 @@ pub struct Ending {
     pub mount_source: MountSource,
     /// Comparison with the truth.
     pub report: Option<Report>,
+    /// Whether the covariances of the poses in the odom frame hold.
+    pub consistency: Option<Consistency>,
     /// Damage of the bag, in words.
     pub bag_problems: Vec<String>,
 }
@@ -93,6 +97,11 @@ impl Summary {
         let registration = &estimate.registration;
         let pose = StampedPose { stamp: estimate.stamp, pose: registration.map_from_base() };
         self.poses.push(pose);
+        self.claims.push(Claim {
+            pose: StampedPose { pose: registration.odom_from_base, ..pose },
+            covariance: registration.covariance,
+            is_ok: registration.outcome.is_ok(),
+        });
         self.elapsed.push(estimate.elapsed);
         self.iterations += registration.refinement.map_or(0, |r| u64::from(r.iterations));
         self.matched += usize::from(registration.outcome.is_ok());
@@ -118,6 +127,11 @@ impl Summary {
     /// The trajectory of the base.
     pub fn poses(&self) -> &[StampedPose] {
         &self.poses
+    }
+
+    /// The poses of the base in the odom frame, and what is said of their errors.
+    pub fn claims(&self) -> &[Claim] {
+        &self.claims
     }
 
     /// Why the answers are worth nothing, if they are: no scan was well-formed.
@@ -186,6 +200,7 @@ impl Summary {
             "ate_rmse_m": truth["ate_rmse_m"],
             "rpe_1m_rmse_m": truth["rpe_1m_rmse_m"],
             "rpe_1m_rmse_deg": truth["rpe_1m_rmse_deg"],
+            "consistency": ending.consistency,
             "unusable_messages": ending.log.unusable_messages,
             "bag_problems": ending.bag_problems,
             "problems": self.problems(ending),
@@ -229,6 +244,9 @@ impl Summary {
         let mut text = format!("{table}\n");
         if let Some(report) = &ending.report {
             let _ = writeln!(text, "\n{}", report.to_text(width));
+        }
+        if let Some(consistency) = &ending.consistency {
+            let _ = writeln!(text, "{consistency}\n");
         }
         for problem in self.problems(ending) {
             let kind = if ending.bag_problems.contains(&problem) { "warning: the bag is damaged" } else { "note" };

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use anytime_scan_matcher::app::App;
 use anytime_scan_matcher::config::Config;
+use anytime_scan_matcher::evaluation::consistency::Consistency;
 use anytime_scan_matcher::evaluation::plot::trajectory_plot;
 use anytime_scan_matcher::evaluation::report::{Comparison, Report};
 use anytime_scan_matcher::evaluation::trajectory::Trajectory;
@@ -47,8 +48,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let summary = recorder.summary();
     let trajectory = Trajectory::new(summary.poses().to_vec())?;
     let report = truth.as_ref().map(|truth| Report::new(&trajectory, Some(truth), None, Comparison::default())).transpose()?;
+    let max_dt = Comparison::default().max_dt;
+    let consistency = match &truth {
+        Some(truth) => Consistency::new(summary.claims(), truth, max_dt)?,
+        None => None,
+    };
     if let Some(path) = &arguments.plot {
-        trajectory_plot(path, &trajectory, truth.as_ref(), recorder.points(), Comparison::default().max_dt)?;
+        trajectory_plot(path, &trajectory, truth.as_ref(), recorder.points(), max_dt)?;
     }
     let ending = Ending {
         log,
@@ -56,6 +62,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         odometry_lag: app.odometry_lag(),
         mount_source: app.mount().1,
         report,
+        consistency,
         bag_problems: bag.problems().iter().map(ToString::to_string).collect(),
     };
     let files = self::files(arguments, &config);
