@@ -1,6 +1,6 @@
 //! `ackermann_msgs`.
 
-#![allow(missing_docs)] // the fields are those of the definitions under msg/
+#![allow(missing_docs)] // the fields are those of the message definitions
 
 use speedy::{Readable, Writable};
 
@@ -27,8 +27,8 @@ impl Message for AckermannDriveStamped {
     const TYPE: &'static str = "ackermann_msgs/AckermannDriveStamped";
     const MD5: &'static str = "1fd5d7f58889cefd44d29f6653240d0c";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("ackermann_msgs/AckermannDriveStamped", include_str!("../../msg/ackermann_msgs/msg/AckermannDriveStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("ackermann_msgs/AckermannDrive", include_str!("../../msg/ackermann_msgs/msg/AckermannDrive.msg")),
+        ("ackermann_msgs/AckermannDriveStamped", include_str!("../../definitions/ackermann_msgs/msg/AckermannDriveStamped.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
+        ("ackermann_msgs/AckermannDrive", include_str!("../../definitions/ackermann_msgs/msg/AckermannDrive.msg")),
     ];
 }

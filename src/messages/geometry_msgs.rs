@@ -1,6 +1,6 @@
 //! `geometry_msgs`.
 
-#![allow(missing_docs)] // the fields are those of the definitions under msg/
+#![allow(missing_docs)] // the fields are those of the message definitions
 
 use speedy::{Readable, Writable};
 
@@ -26,9 +26,9 @@ impl Message for PointStamped {
     const TYPE: &'static str = "geometry_msgs/PointStamped";
     const MD5: &'static str = "c63aecb41bfdfd6b7e1fac37c7cbe7bf";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/PointStamped", include_str!("../../msg/geometry_msgs/msg/PointStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
+        ("geometry_msgs/PointStamped", include_str!("../../definitions/geometry_msgs/msg/PointStamped.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/Point", include_str!("../../definitions/geometry_msgs/msg/Point.msg")),
     ];
 }
 
@@ -92,11 +92,11 @@ impl Message for PoseStamped {
     const TYPE: &'static str = "geometry_msgs/PoseStamped";
     const MD5: &'static str = "d3812c3cbc69362b77dc0b19b345f8f5";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/PoseStamped", include_str!("../../msg/geometry_msgs/msg/PoseStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/Pose", include_str!("../../msg/geometry_msgs/msg/Pose.msg")),
-        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
-        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+        ("geometry_msgs/PoseStamped", include_str!("../../definitions/geometry_msgs/msg/PoseStamped.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/Pose", include_str!("../../definitions/geometry_msgs/msg/Pose.msg")),
+        ("geometry_msgs/Point", include_str!("../../definitions/geometry_msgs/msg/Point.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../definitions/geometry_msgs/msg/Quaternion.msg")),
     ];
 }
 
@@ -124,12 +124,12 @@ impl Message for PoseWithCovarianceStamped {
     const TYPE: &'static str = "geometry_msgs/PoseWithCovarianceStamped";
     const MD5: &'static str = "953b798c0f514ff060a53a3498ce6246";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/PoseWithCovarianceStamped", include_str!("../../msg/geometry_msgs/msg/PoseWithCovarianceStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/PoseWithCovariance", include_str!("../../msg/geometry_msgs/msg/PoseWithCovariance.msg")),
-        ("geometry_msgs/Pose", include_str!("../../msg/geometry_msgs/msg/Pose.msg")),
-        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
-        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+        ("geometry_msgs/PoseWithCovarianceStamped", include_str!("../../definitions/geometry_msgs/msg/PoseWithCovarianceStamped.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/PoseWithCovariance", include_str!("../../definitions/geometry_msgs/msg/PoseWithCovariance.msg")),
+        ("geometry_msgs/Pose", include_str!("../../definitions/geometry_msgs/msg/Pose.msg")),
+        ("geometry_msgs/Point", include_str!("../../definitions/geometry_msgs/msg/Point.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../definitions/geometry_msgs/msg/Quaternion.msg")),
     ];
 }
 
@@ -144,8 +144,8 @@ impl Message for Twist {
     const TYPE: &'static str = "geometry_msgs/Twist";
     const MD5: &'static str = "9f195f881246fdfa2798d1d3eebca84a";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/Twist", include_str!("../../msg/geometry_msgs/msg/Twist.msg")),
-        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
+        ("geometry_msgs/Twist", include_str!("../../definitions/geometry_msgs/msg/Twist.msg")),
+        ("geometry_msgs/Vector3", include_str!("../../definitions/geometry_msgs/msg/Vector3.msg")),
     ];
 }
 
@@ -160,10 +160,10 @@ impl Message for TwistStamped {
     const TYPE: &'static str = "geometry_msgs/TwistStamped";
     const MD5: &'static str = "98d34b0043a2093cf9d9345ab6eef12e";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/TwistStamped", include_str!("../../msg/geometry_msgs/msg/TwistStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/Twist", include_str!("../../msg/geometry_msgs/msg/Twist.msg")),
-        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
+        ("geometry_msgs/TwistStamped", include_str!("../../definitions/geometry_msgs/msg/TwistStamped.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/Twist", include_str!("../../definitions/geometry_msgs/msg/Twist.msg")),
+        ("geometry_msgs/Vector3", include_str!("../../definitions/geometry_msgs/msg/Vector3.msg")),
     ];
 }
 
@@ -205,10 +205,10 @@ impl Message for TransformStamped {
     const TYPE: &'static str = "geometry_msgs/TransformStamped";
     const MD5: &'static str = "b5764a33bfeb3588febc2682852579b0";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/TransformStamped", include_str!("../../msg/geometry_msgs/msg/TransformStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/Transform", include_str!("../../msg/geometry_msgs/msg/Transform.msg")),
-        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
-        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
+        ("geometry_msgs/TransformStamped", include_str!("../../definitions/geometry_msgs/msg/TransformStamped.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/Transform", include_str!("../../definitions/geometry_msgs/msg/Transform.msg")),
+        ("geometry_msgs/Vector3", include_str!("../../definitions/geometry_msgs/msg/Vector3.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../definitions/geometry_msgs/msg/Quaternion.msg")),
     ];
 }

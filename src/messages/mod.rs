@@ -1,7 +1,7 @@
 //! The ROS messages this project reads and writes, and their wire form.
 //!
 //! One set of types serves bags and live connections alike, with or without the `ros` feature, so that both go through the same
-//! length-checked decoder. Field names are those of the definitions under `msg/`.
+//! length-checked decoder. Field names are those of the message definitions.
 
 pub mod ackermann_msgs;
 pub mod geometry_msgs;

@@ -1,6 +1,6 @@
 //! `anytime_scan_matcher`: the messages this project defines.
 
-#![allow(missing_docs)] // the fields are those of the definitions under msg/
+#![allow(missing_docs)] // the fields are those of the message definitions
 
 use speedy::{Readable, Writable};
 
@@ -19,8 +19,8 @@ impl Message for Contract {
     const TYPE: &'static str = "anytime_scan_matcher/Contract";
     const MD5: &'static str = "ec3f14ad03e5846fa3616163a5021ea8";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("anytime_scan_matcher/Contract", include_str!("../../msg/anytime_scan_matcher/msg/Contract.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("anytime_scan_matcher/Contract", include_str!("../../msg/Contract.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
     ];
 }
 
@@ -69,8 +69,8 @@ impl Message for MatchReport {
     const TYPE: &'static str = "anytime_scan_matcher/MatchReport";
     const MD5: &'static str = "29ee1f66cd37763f031e10d5f57002a5";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("anytime_scan_matcher/MatchReport", include_str!("../../msg/anytime_scan_matcher/msg/MatchReport.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("anytime_scan_matcher/MatchReport", include_str!("../../msg/MatchReport.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
     ];
 }
 
@@ -102,8 +102,8 @@ impl Message for FilterReport {
     const TYPE: &'static str = "anytime_scan_matcher/FilterReport";
     const MD5: &'static str = "0cad528a8fe8ab41dd259f1f0c003eb5";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("anytime_scan_matcher/FilterReport", include_str!("../../msg/anytime_scan_matcher/msg/FilterReport.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("anytime_scan_matcher/FilterReport", include_str!("../../msg/FilterReport.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
     ];
 }
 
@@ -128,7 +128,7 @@ impl Message for FollowerReport {
     const TYPE: &'static str = "anytime_scan_matcher/FollowerReport";
     const MD5: &'static str = "b97d3391119f22026f8e1b5be740b101";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("anytime_scan_matcher/FollowerReport", include_str!("../../msg/anytime_scan_matcher/msg/FollowerReport.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("anytime_scan_matcher/FollowerReport", include_str!("../../msg/FollowerReport.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
     ];
 }

@@ -1,6 +1,6 @@
 //! `sensor_msgs`.
 
-#![allow(missing_docs)] // the fields are those of the definitions under msg/
+#![allow(missing_docs)] // the fields are those of the message definitions
 
 use speedy::{Readable, Writable};
 
@@ -25,8 +25,8 @@ impl Message for LaserScan {
     const TYPE: &'static str = "sensor_msgs/LaserScan";
     const MD5: &'static str = "90c7ef2dc6895d81024acba2ac42f369";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("sensor_msgs/LaserScan", include_str!("../../msg/sensor_msgs/msg/LaserScan.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
+        ("sensor_msgs/LaserScan", include_str!("../../definitions/sensor_msgs/msg/LaserScan.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
     ];
 }
 
@@ -46,10 +46,10 @@ impl Message for Imu {
     const TYPE: &'static str = "sensor_msgs/Imu";
     const MD5: &'static str = "6a62c6daae103f4ff57a132d6f95cec2";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("sensor_msgs/Imu", include_str!("../../msg/sensor_msgs/msg/Imu.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
-        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
+        ("sensor_msgs/Imu", include_str!("../../definitions/sensor_msgs/msg/Imu.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
+        ("geometry_msgs/Quaternion", include_str!("../../definitions/geometry_msgs/msg/Quaternion.msg")),
+        ("geometry_msgs/Vector3", include_str!("../../definitions/geometry_msgs/msg/Vector3.msg")),
     ];
 }
 
@@ -85,8 +85,8 @@ impl Message for PointCloud2 {
     const TYPE: &'static str = "sensor_msgs/PointCloud2";
     const MD5: &'static str = "1158d486dd51d683ce2f1be655c3c181";
     const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("sensor_msgs/PointCloud2", include_str!("../../msg/sensor_msgs/msg/PointCloud2.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("sensor_msgs/PointField", include_str!("../../msg/sensor_msgs/msg/PointField.msg")),
+        ("sensor_msgs/PointCloud2", include_str!("../../definitions/sensor_msgs/msg/PointCloud2.msg")),
+        ("std_msgs/Header", include_str!("../../definitions/std_msgs/msg/Header.msg")),
+        ("sensor_msgs/PointField", include_str!("../../definitions/sensor_msgs/msg/PointField.msg")),
     ];
 }
