@@ -19,7 +19,7 @@ use crate::localization::filter::{Belief, ParticleFilter};
 use crate::localization::observation::Observation;
 use crate::map::grid::{Cell, OccupancyGrid};
 use crate::matching::StopReason;
-use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};
+use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped, planar_covariance};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own;
 use crate::messages::sensor_msgs::LaserScan;
@@ -326,8 +326,7 @@ impl Localizer {
         self.check_frame(&message.header.frame_id)?;
         let pose = planar_pose(&message.pose.pose)?;
         self.check_place(&pose)?;
-        let of = |row: usize, column: usize| message.pose.covariance[6 * row + column];
-        let covariance = PoseCovariance::from_fn(|row, column| of([0, 1, 5][row], [0, 1, 5][column]));
+        let covariance = planar_covariance(&message.pose.covariance);
         self.initial_pose = Some(InitialPose::new((pose, covariance), &message.header, arrival));
         Ok(())
     }

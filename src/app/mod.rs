@@ -6,6 +6,7 @@ mod initial_pose;
 mod intake;
 pub mod localizer;
 pub mod map_message;
+mod report;
 pub mod sensed;
 mod warm_up;
 

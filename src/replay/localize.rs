@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::{self, Write};
 use std::time::Duration;
 
 use comfy_table::{Table, presets};
 use serde_json::{Value, json};
 
+use super::row::BeliefRow;
 use super::{ReplayLog, Topics, feed, microseconds, sensed};
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
@@ -20,13 +20,12 @@ use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::Pose2;
 use crate::io::bag::{Bag, BagError};
 use crate::localization::filter::Belief;
-use crate::matching::StopReason;
 use crate::time::Stamp;
 
 /// What became of a scan.
 #[derive(Clone, Debug)]
 pub enum Answer {
-    /// The filter took it in.
+    /// The filter took it in, or could not use it.
     Fix(Box<Fix>),
     /// A newer one was there when the timer called. Where the robot was then: the last belief, carried on by odometry.
     Between {
@@ -92,63 +91,6 @@ fn pass_over<E>(
     on_answer(&Answer::Between { stamp, map_from_base }, scan)
 }
 
-const HEADER: [&str; 16] = [
-    "stamp",
-    "x_m",
-    "y_m",
-    "theta_rad",
-    "sigma_x_m",
-    "sigma_y_m",
-    "sigma_theta_rad",
-    "localized",
-    "share",
-    "particles",
-    "effective",
-    "beams",
-    "fit",
-    "explained",
-    "stop_reason",
-    "elapsed_us",
-];
-
-/// Writes beliefs as CSV.
-pub struct BeliefFile<W: Write> {
-    writer: csv::Writer<W>,
-}
-
-impl<W: Write> BeliefFile<W> {
-    /// Writes the header.
-    pub fn new(sink: W) -> csv::Result<Self> {
-        let mut writer = csv::Writer::from_writer(sink);
-        writer.write_record(HEADER)?;
-        Ok(Self { writer })
-    }
-
-    /// Writes the line of one scan; a scan that was of no use has none.
-    pub fn write(&mut self, answer: &Answer) -> csv::Result<()> {
-        let Answer::Fix(answer) = answer else { return Ok(()) };
-        let Ok(belief) = &answer.belief else { return Ok(()) };
-        let pose = &belief.map_from_base;
-        let mut record = vec![answer.stamp.to_string()];
-        record.extend([pose.x, pose.y, pose.theta].map(|value| format!("{value:.9}")));
-        record.extend([0, 1, 2].map(|i| format!("{:.6}", belief.covariance[(i, i)].max(0.0).sqrt())));
-        record.push(belief.is_localized().to_string());
-        record.push(format!("{:.4}", belief.share));
-        record.push(belief.particles.to_string());
-        record.extend([format!("{:.1}", belief.effective), belief.beams.to_string(), format!("{:.5}", belief.fit)]);
-        record.push(format!("{:.4}", belief.explained));
-        record.push(answer.stop_reason.map_or("", StopReason::name).into());
-        record.push(format!("{:.3}", microseconds(answer.elapsed)));
-        self.writer.write_record(record)?;
-        Ok(self.writer.flush()?)
-    }
-
-    /// The sink, with all that was written.
-    pub fn into_sink(self) -> io::Result<W> {
-        self.writer.into_inner().map_err(csv::IntoInnerError::into_error)
-    }
-}
-
 /// Collects the answers of a replay.
 #[derive(Clone, Debug, Default)]
 pub struct LocalizationSummary {
@@ -159,44 +101,38 @@ pub struct LocalizationSummary {
     between: usize,
     /// Sum of the parts of their beams that the map explained.
     explained: f64,
-    particles: usize,
+    particles: u64,
     effective: f64,
-    beams: usize,
+    beams: u64,
     late: usize,
     worst_overrun: Duration,
     /// By kind: how many, and the first in words.
-    unused: BTreeMap<&'static str, (usize, String)>,
+    unused: BTreeMap<String, (usize, String)>,
 }
 
 impl LocalizationSummary {
+    /// Counts a scan that was passed over.
+    pub fn pass_over(&mut self) {
+        self.between += 1;
+    }
+
     /// Takes an answer; tells its pose, if it has one.
-    pub fn add(&mut self, answer: &Answer) -> Option<StampedPose> {
-        let answer = match answer {
-            Answer::Fix(fix) => fix,
-            &Answer::Between { stamp, map_from_base } => {
-                self.between += 1;
-                return Some(StampedPose { stamp, pose: map_from_base });
-            }
+    pub fn add(&mut self, BeliefRow { pose, report, .. }: &BeliefRow) -> Option<StampedPose> {
+        let Some(pose) = *pose else {
+            self.unused.entry(report.failure.clone()).or_insert_with(|| (0, report.reason.clone())).0 += 1;
+            return None;
         };
-        match &answer.belief {
-            Ok(belief) => {
-                let pose = StampedPose { stamp: answer.stamp, pose: belief.map_from_base };
-                self.poses.push(pose);
-                self.elapsed.push(answer.elapsed);
-                self.localized.extend(belief.is_localized().then_some(pose));
-                self.explained += belief.explained;
-                self.particles += belief.particles;
-                self.effective += belief.effective;
-                self.beams += belief.beams;
-                self.late += usize::from(!answer.overrun().is_zero());
-                self.worst_overrun = self.worst_overrun.max(answer.overrun());
-                Some(pose)
-            }
-            Err(problem) => {
-                self.unused.entry(problem.code()).or_insert_with(|| (0, problem.to_string())).0 += 1;
-                None
-            }
-        }
+        let pose = StampedPose { stamp: report.header.stamp.into(), pose };
+        self.poses.push(pose);
+        self.elapsed.push(report.elapsed.span());
+        self.localized.extend(report.localized.then_some(pose));
+        self.explained += report.explained;
+        self.particles += u64::from(report.particles);
+        self.effective += report.effective;
+        self.beams += u64::from(report.beams);
+        self.late += usize::from(!report.deadline_met);
+        self.worst_overrun = self.worst_overrun.max(report.overrun.span());
+        Some(pose)
     }
 
     /// The trajectory of the base on the map.
@@ -274,7 +210,7 @@ impl LocalizationSummary {
             "position_max_m": errors.map(|errors| errors.trans_m.max),
             "heading_rmse_deg": errors.map(|errors| errors.rot_deg.rmse),
             "heading_max_deg": errors.map(|errors| errors.rot_deg.max),
-            "unused": self.unused.iter().map(|(code, (count, _))| (*code, *count)).collect::<BTreeMap<_, _>>(),
+            "unused": self.unused.iter().map(|(code, (count, _))| (code, *count)).collect::<BTreeMap<_, _>>(),
             "problems": problems,
         })
     }

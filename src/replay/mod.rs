@@ -1,11 +1,11 @@
 //! A bag through the very application that the node runs.
 
-pub mod csv_file;
 pub mod localize;
 pub mod map_picture;
 pub mod map_sketch;
 pub mod map_summary;
 pub mod recorder;
+pub mod row;
 pub mod summary;
 pub mod survey;
 pub mod truth;

@@ -6,15 +6,16 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use rosrust::api::Ros;
-use rosrust_msg::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
-use rosrust_msg::std_msgs::Header;
 
 use super::NodeError;
 use super::mailbox::Dropped;
 use super::master::Role;
-use super::publishers::Output;
+use super::output::Output;
 use crate::app::Estimate;
 use crate::evaluation::statistics::percentile;
+use crate::messages::Time;
+use crate::messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
+use crate::messages::std_msgs::Header;
 use crate::odometry::Outcome;
 
 /// Time between two messages.
@@ -160,7 +161,9 @@ impl Diagnostics {
         let (level, message) = report.verdict();
         let status =
             DiagnosticStatus { level, name: self.name.clone(), message, hardware_id: String::new(), values: report.values() };
-        self.output.send(|| DiagnosticArray { header: Header { stamp: ros.now(), ..Default::default() }, status: vec![status] });
+        let rosrust::Time { sec, nsec } = ros.now();
+        let header = Header { stamp: Time { sec, nsec }, ..Header::default() };
+        self.output.send(|| DiagnosticArray { header, status: vec![status] });
     }
 }
 

@@ -4,13 +4,12 @@ use std::collections::BTreeSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use rosrust::api::Ros;
-use rosrust_msg::geometry_msgs::TransformStamped;
-use rosrust_msg::tf2_msgs::TFMessage;
 
 use super::NodeError;
 use super::master::Role;
-use super::publishers::Output;
-use crate::messages::tf2_msgs as messages;
+use super::output::Output;
+use crate::messages::geometry_msgs::TransformStamped;
+use crate::messages::tf2_msgs::TFMessage;
 use crate::transforms::frame_name;
 
 /// Another node's transform.
@@ -22,7 +21,7 @@ pub(super) struct Rival<'a> {
 
 impl<'a> Rival<'a> {
     /// The transform that says where `child` is, if the message has one.
-    pub(super) fn find(message: &'a messages::TFMessage, sender: &'a str, child: &'a str) -> Option<Self> {
+    pub(super) fn find(message: &'a TFMessage, sender: &'a str, child: &'a str) -> Option<Self> {
         let child = frame_name(child);
         let transform = message.transforms.iter().find(|transform| frame_name(&transform.child_frame_id) == child)?;
         Some(Self { sender, parent: frame_name(&transform.header.frame_id), child })

@@ -9,14 +9,16 @@ use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::evaluation::association::associate;
 use anytime_scan_matcher::evaluation::report::Comparison;
-use anytime_scan_matcher::evaluation::trajectory::Trajectory;
+use anytime_scan_matcher::evaluation::trajectory::{StampedPose, Trajectory};
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::io::csv_file::CsvFile;
 use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::knobs::Value;
 use anytime_scan_matcher::output::OutputFile;
-use anytime_scan_matcher::replay::localize::{BeliefFile, LocalizationSummary, errors, localize};
+use anytime_scan_matcher::replay::localize::{Answer, LocalizationSummary, errors, localize};
+use anytime_scan_matcher::replay::row::BeliefRow;
 use anytime_scan_matcher::replay::truth;
 use clap::Args;
 
@@ -91,16 +93,28 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         localizer.start_at(&start.unwrap_or_default(), None);
     }
     let mut tum = arguments.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
-    let mut csv = arguments.csv.as_deref().map(create).transpose()?.map(BeliefFile::new).transpose()?;
+    let csv = arguments.csv.as_deref().map(create).transpose()?;
+    let mut csv = csv.map(|file| CsvFile::new(file, BeliefRow::COLUMNS)).transpose()?;
     let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
     let mut summary = LocalizationSummary::default();
     let tick = || progress.inc(1);
     let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &*clock, tick, |answer, _| {
-        if let (Some(pose), Some(tum)) = (summary.add(answer), &mut tum) {
+        let pose = match answer {
+            Answer::Fix(fix) => {
+                let row = BeliefRow::new(fix, &config.frames.map_frame);
+                // A scan that was of no use has no row.
+                if let (Some(csv), Some(_)) = (&mut csv, row.pose) {
+                    csv.write(&row).context("cannot write the CSV file")?;
+                }
+                summary.add(&row)
+            }
+            &Answer::Between { stamp, map_from_base } => {
+                summary.pass_over();
+                Some(StampedPose { stamp, pose: map_from_base })
+            }
+        };
+        if let (Some(pose), Some(tum)) = (pose, &mut tum) {
             tum.write(&pose).context("cannot write the trajectory")?;
-        }
-        if let Some(csv) = &mut csv {
-            csv.write(answer).context("cannot write the CSV file")?;
         }
         Ok(())
     })?;

@@ -201,7 +201,7 @@ impl Bag {
             Ok(())
         } else if connection.message_type == T::TYPE {
             let found = connection.md5.clone();
-            Err(BagError::WrongVersion { path, topic, message_type: T::TYPE, found, expected: T::MD5 })
+            Err(BagError::WrongVersion { path, topic, message_type: T::TYPE, found, expected: &T::definition().md5 })
         } else {
             let found = connection.message_type.clone();
             Err(BagError::WrongType { path, topic, found, expected: T::TYPE })

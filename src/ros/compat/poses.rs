@@ -1,13 +1,14 @@
 //! The topics that `laser_scan_matcher` gives its poses on.
 
 use rosrust::api::Ros;
-use rosrust_msg::geometry_msgs::{Pose2D, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped};
 
 use super::parameters::PoseTopics;
+use crate::messages::Message;
+use crate::messages::geometry_msgs::{Pose2D, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped};
 use crate::ros::NodeError;
 use crate::ros::convert::Answer;
 use crate::ros::master::Role;
-use crate::ros::publishers::Output;
+use crate::ros::output::Output;
 
 /// Those that are wanted.
 pub(in crate::ros) struct PoseOutputs {
@@ -54,6 +55,6 @@ impl PoseOutputs {
     }
 }
 
-fn output<T: rosrust::Message>(ros: &Ros, topic: &'static str, wanted: bool) -> Result<Option<Output<T>>, NodeError> {
+fn output<T: Message>(ros: &Ros, topic: &'static str, wanted: bool) -> Result<Option<Output<T>>, NodeError> {
     if wanted { Output::urgent(ros, topic).map(Some) } else { Ok(None) }
 }

@@ -1,31 +1,31 @@
 //! The controller on the ROS graph.
 
-use std::path::Path;
+use std::fs::File;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
-use rosrust_msg::anytime_scan_matcher::Contract as ContractMessage;
 
 use super::ContractDemoKnobs;
 use super::adherence::Adherence;
 use super::asking::Asking;
-use super::csv_file::CsvFile;
+use super::row::Row;
 use super::schedule::Schedule;
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
 use crate::control::policy::Policy;
+use crate::io::csv_file::CsvFile;
 use crate::messages::Message as _;
 use crate::messages::nav_msgs::Odometry;
-use crate::messages::own::MatchReport;
+use crate::messages::own::{self, MatchReport};
 use crate::messages::std_msgs::{Header, Int32};
 use crate::ros::NodeError;
 use crate::ros::inlet::{Letter, Topic, listen};
 use crate::ros::links::Links;
 use crate::ros::log::{Log, ROSOUT};
 use crate::ros::master::{MasterLink, Role};
-use crate::ros::publishers::Output;
+use crate::ros::output::Output;
 use crate::ros::reader::Reader;
 use crate::ros::shutdown::StopSignal;
 
@@ -59,13 +59,13 @@ pub(super) struct Controller<'a> {
     clock: Arc<dyn Clock>,
     master: MasterLink<'a>,
     letters: Receiver<(Input, Letter)>,
-    contracts: Output<ContractMessage>,
+    contracts: Output<own::Contract>,
     asking: Asking,
     schedule: Schedule,
     /// As last heard, m/s.
     speed: f64,
     adherence: Adherence,
-    csv: Option<CsvFile>,
+    csv: Option<CsvFile<File, Row>>,
     log_period: Duration,
     log: Log,
     reader: Reader,
@@ -79,8 +79,7 @@ impl<'a> Controller<'a> {
         let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
         let in_words = in_words(&policy);
         let asking = Asking::new(policy, knobs)?;
-        let csv = knobs.csv.as_deref().map(|path| CsvFile::create(Path::new(path))).transpose();
-        let csv = csv.map_err(|problem| NodeError::Csv { problem })?;
+        let csv = knobs.csv.as_deref().map(create).transpose()?;
         let contracts = Output::new(ros, "icp_contract")?;
         let (sender, letters) = channel();
         let links = Links::new(ros, &clock, &log)?;
@@ -170,7 +169,8 @@ impl<'a> Controller<'a> {
         }
         self.asking.set_familiar(report.outside_profile.is_empty());
         self.adherence.on_report(report);
-        if let Some(Err(problem)) = self.csv.as_mut().map(|csv| csv.write(report, self.speed)) {
+        let row = Row { report: report.clone(), speed: self.speed };
+        if let Some(Err(problem)) = self.csv.as_mut().map(|csv| csv.write(&row)) {
             self.reader.warn("csv", &format!("a row is lost: {problem}"));
         }
     }
@@ -200,13 +200,13 @@ fn subscribe(links: &Links, input: Input, sender: Sender<(Input, Letter)>) -> Re
     listen(links, input.topic(), move |letter| drop(sender.send((input, letter))))
 }
 
+/// Makes the CSV file anew; it is whole after every row.
+fn create(path: &str) -> Result<CsvFile<File, Row>, NodeError> {
+    let file = File::create(path).map_err(csv::Error::from).and_then(|file| CsvFile::new(file, Row::COLUMNS));
+    file.map_err(|error| NodeError::Csv { problem: format!("{path}: {error}") })
+}
+
 /// With the header of the odometry that it follows from.
-fn contract_message(contract: &Contract, header: &Header) -> ContractMessage {
-    let stamp = rosrust::Time { sec: header.stamp.sec, nsec: header.stamp.nsec };
-    ContractMessage {
-        header: rosrust_msg::std_msgs::Header { seq: header.seq, stamp, frame_id: String::new() },
-        time_budget: contract.time_budget.unwrap_or_default().into(),
-        translation_error_bound: contract.translation_error_bound.unwrap_or_default(),
-        rotation_error_bound: contract.rotation_error_bound.unwrap_or_default(),
-    }
+fn contract_message(contract: &Contract, header: &Header) -> own::Contract {
+    own::Contract { header: Header { frame_id: String::new(), ..header.clone() }, ..contract.into() }
 }

@@ -6,7 +6,6 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
-use rosrust_msg::visualization_msgs::Marker;
 
 use super::intake::{Intake, Remark};
 use super::{AllKnobs, convert};
@@ -24,14 +23,14 @@ use crate::messages::nav_msgs::{OccupancyGrid, Odometry, Path};
 use crate::messages::own::FollowerReport;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
+use crate::messages::visualization_msgs::Marker;
 use crate::ros::NodeError;
 use crate::ros::inlet::{Letter, Topic, listen};
 use crate::ros::links::Links;
 use crate::ros::log::{Log, ROSOUT};
 use crate::ros::master::{MasterLink, Role};
-use crate::ros::outlet::Outlet;
+use crate::ros::output::Output;
 use crate::ros::params;
-use crate::ros::publishers::Output;
 use crate::ros::reader::Reader;
 use crate::ros::services::{self, Service};
 use crate::ros::shutdown::StopSignal;
@@ -74,16 +73,16 @@ impl Input {
 
 /// What it says.
 struct Outlets {
-    drive: Outlet<AckermannDriveStamped>,
-    report: Outlet<FollowerReport>,
+    drive: Output<AckermannDriveStamped>,
+    report: Output<FollowerReport>,
     markers: Output<Marker>,
 }
 
 impl Outlets {
     fn new(ros: &Ros) -> Result<Self, NodeError> {
         Ok(Self {
-            drive: Outlet::new(ros, "drive")?,
-            report: Outlet::new(ros, "follower/report")?,
+            drive: Output::new(ros, "drive")?,
+            report: Output::new(ros, "follower/report")?,
             markers: Output::new(ros, "follower/viz")?,
         })
     }
@@ -105,7 +104,7 @@ pub(super) struct Node<'a> {
     markers: Timer,
     number: u32,
     /// As last said.
-    stop: Option<String>,
+    stop: Option<&'static str>,
     log: Log,
     reader: Reader,
     _resume: Service,
@@ -273,8 +272,7 @@ impl<'a> Node<'a> {
 
     /// A line for each change of mind.
     fn tell_stop(&mut self, step: &Step) {
-        let kind = |stop: &StopReason| format!("{stop:?}").split('(').next().unwrap_or_default().to_owned();
-        let stop = step.stop.as_ref().map(kind);
+        let stop = step.stop.as_ref().map(StopReason::code);
         if stop == self.stop {
             return;
         }

@@ -24,7 +24,7 @@ use crate::ros::inlet::{Letter, Topic, listen};
 use crate::ros::links::Links;
 use crate::ros::log::{Log, ROSOUT};
 use crate::ros::master::{MasterLink, Role};
-use crate::ros::outlet::Outlet;
+use crate::ros::output::Output;
 use crate::ros::reader::Reader;
 use crate::ros::shutdown::StopSignal;
 use crate::simulation::car::Car;
@@ -67,19 +67,19 @@ impl Input {
 
 /// What it says.
 struct Outlets {
-    scan: Outlet<LaserScan>,
-    odometry: Outlet<Odometry>,
-    truth: Outlet<PoseStamped>,
-    transforms: Outlet<TFMessage>,
+    scan: Output<LaserScan>,
+    odometry: Output<Odometry>,
+    truth: Output<PoseStamped>,
+    transforms: Output<TFMessage>,
 }
 
 impl Outlets {
     fn new(ros: &Ros) -> Result<Self, NodeError> {
         Ok(Self {
-            scan: Outlet::new(ros, "scan")?,
-            odometry: Outlet::new(ros, "odom")?,
-            truth: Outlet::new(ros, "gt_pose")?,
-            transforms: Outlet::new(ros, "/tf")?,
+            scan: Output::new(ros, "scan")?,
+            odometry: Output::new(ros, "odom")?,
+            truth: Output::new(ros, "gt_pose")?,
+            transforms: Output::new(ros, "/tf")?,
         })
     }
 

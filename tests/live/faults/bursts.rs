@@ -1,11 +1,12 @@
 //! More than there is time for, and clocks that cannot be trusted.
 
 use std::net::TcpStream;
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::own::MatchReport;
-use anytime_scan_matcher::messages::{Message, Time};
+use anytime_scan_matcher::messages::{Definition, Message, Time};
 use speedy::{Readable, Writable};
 
 use super::bench::{Bench, send};
@@ -87,8 +88,11 @@ struct ClockMessage {
 
 impl Message for ClockMessage {
     const TYPE: &'static str = "rosgraph_msgs/Clock";
-    const MD5: &'static str = "a9c97c1d230cfc112e270351a944ee47";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[("rosgraph_msgs/Clock", "time clock\n")];
+
+    fn definition() -> &'static Definition {
+        static DEFINITION: LazyLock<Definition> = LazyLock::new(|| Definition::new(ClockMessage::TYPE, "time clock\n"));
+        &DEFINITION
+    }
 }
 
 #[test]

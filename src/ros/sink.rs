@@ -34,7 +34,7 @@ pub(super) struct Topic {
 
 impl Topic {
     pub(super) fn of<T: Message>(name: &'static str) -> Self {
-        Self { name, message_type: T::TYPE, md5: T::MD5, is_vital: false }
+        Self { name, message_type: T::TYPE, md5: &T::definition().md5, is_vital: false }
     }
 
     pub(super) fn vital<T: Message>(name: &'static str) -> Self {
