@@ -4,7 +4,7 @@ use super::Estimate;
 use super::localizer::Fix;
 use crate::anytime::ErrorEstimate;
 use crate::io::profile_file::ExpectedError;
-use crate::localization::filter::Belief;
+use crate::localization::estimate::Belief;
 use crate::messages::own::{Contract, FilterReport, MatchReport};
 use crate::messages::std_msgs::Header;
 use crate::odometry::{Failure, OdometryCounters, Outcome};

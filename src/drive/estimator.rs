@@ -16,7 +16,7 @@ use crate::config::Config;
 use crate::control::follower::PoseReading;
 use crate::control::policy::Terms;
 use crate::geometry::Pose2;
-use crate::localization::filter::Belief;
+use crate::localization::estimate::Belief;
 use crate::matching::StopReason;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::LaserScan;

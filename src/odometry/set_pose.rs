@@ -4,8 +4,9 @@
 //! taken for it may still be of the old place. So its place as the reference is on probation. A scan that does not go on from it by any
 //! motion of a robot was taken at the new place: it becomes the reference instead, at the pose that was set.
 
-use super::attempt::{Attempt, Last, Prediction};
+use super::attempt::{Attempt, Last};
 use super::motion_state::MotionState;
+use super::prediction::Prediction;
 use super::registration::Registration;
 use super::{Found, LaserOdometry, is_steady, uncertainty};
 use crate::geometry::{Pose2, PoseCovariance, Twist2};

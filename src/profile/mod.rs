@@ -17,6 +17,7 @@ pub mod knob;
 pub mod look_up;
 pub mod pictures;
 pub mod plan;
+pub mod results;
 pub mod run;
 pub mod search_time;
 pub mod study;

@@ -2,8 +2,8 @@
 
 use super::ProfileError;
 use super::knob::Knob;
+use super::results::{Results, VariantCost};
 use super::run::Run;
-use super::study::{Results, VariantCost};
 use super::summary::CaseSummary;
 use super::variant::Variant;
 use crate::evaluation::plot::{Colour, Dash, Look, Mark, Panel, Path, Scale, Series, curves, positions, top_view, true_path};

@@ -19,7 +19,7 @@ use crate::evaluation::statistics::{PoseErrors, percentile};
 use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::Pose2;
 use crate::io::bag::{Bag, BagError};
-use crate::localization::filter::Belief;
+use crate::localization::estimate::Belief;
 use crate::time::Stamp;
 
 /// What became of a scan.

@@ -9,7 +9,7 @@ use rosrust::api::Ros;
 
 use super::NodeError;
 use super::mailbox::Dropped;
-use super::master::Role;
+use super::master::MasterRegistration;
 use super::output::Output;
 use crate::app::Estimate;
 use crate::evaluation::statistics::percentile;
@@ -149,8 +149,8 @@ impl Diagnostics {
         Ok(Self { output: Output::new(ros, "/diagnostics")?, name, task, before: (Counts::default(), Dropped::default()) })
     }
 
-    pub(super) fn role(&self) -> Role {
-        self.output.role()
+    pub(super) fn registration(&self) -> MasterRegistration {
+        self.output.registration()
     }
 
     /// Reports on the time since the last report, `seconds` ago.

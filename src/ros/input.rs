@@ -1,6 +1,6 @@
 //! What the scan matcher hears.
 
-use super::inlet::Topic;
+use super::sink::Topic;
 use super::worker::NodeInput;
 use crate::messages::geometry_msgs::{PoseWithCovarianceStamped, Twist, TwistStamped};
 use crate::messages::nav_msgs::Odometry;

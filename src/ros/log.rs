@@ -10,7 +10,7 @@ use rosrust::api::Ros;
 use rosrust_msg::rosgraph_msgs;
 
 use super::NodeError;
-use super::output::listed;
+use super::node_api::listed;
 
 /// Topic of all nodes' logs.
 pub(super) const ROSOUT: &str = "/rosout";

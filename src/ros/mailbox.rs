@@ -5,10 +5,9 @@ use std::mem;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use super::inlet::Letter;
 use super::interrupts::LOOK;
 use super::live_params::MatchingChange;
-use super::subscriptions::Input;
+use super::sink::RawMessage;
 use crate::anytime::interrupt::Interrupt;
 
 /// Events that may wait: four seconds of odometry at 1 kHz. A match that takes longer loses the oldest.
@@ -18,9 +17,9 @@ const CAPACITY_BYTES: usize = 32 << 20;
 
 /// Anything but a scan.
 #[derive(Debug, PartialEq)]
-pub(super) enum Event<I = Input> {
+pub(super) enum Event<I> {
     /// A message.
-    Message(I, Letter),
+    Message(I, RawMessage),
     /// A call of the node's service.
     Reset,
     /// A call of the service `save_profile`.
@@ -32,7 +31,7 @@ pub(super) enum Event<I = Input> {
 impl<I> Event<I> {
     fn bytes(&self) -> usize {
         match self {
-            Self::Message(_, letter) => letter.bytes.len(),
+            Self::Message(_, raw) => raw.bytes.len(),
             Self::Reset | Self::SaveProfile | Self::Change(_) => 0,
         }
     }
@@ -40,9 +39,9 @@ impl<I> Event<I> {
 
 /// What there is to do: the events first, in their order of arrival, then the scan.
 #[derive(Debug, PartialEq)]
-pub(super) struct Work<I = Input> {
+pub(super) struct Work<I> {
     pub(super) events: VecDeque<Event<I>>,
-    pub(super) scan: Option<Letter>,
+    pub(super) scan: Option<RawMessage>,
 }
 
 impl<I> Default for Work<I> {
@@ -52,7 +51,7 @@ impl<I> Default for Work<I> {
 }
 
 /// Work for a node's one thread. Of scans only the newest is kept: an answer to an old one helps nobody. `I`: the inputs of the node.
-pub(super) struct Mailbox<I = Input> {
+pub(super) struct Mailbox<I> {
     state: Mutex<State<I>>,
     filled: Condvar,
 }
@@ -92,7 +91,7 @@ impl<I> State<I> {
 }
 
 /// Ends what can be left undone when there is another scan.
-pub(super) struct NextScan<'a, I = Input>(pub(super) &'a Mailbox<I>);
+pub(super) struct NextScan<'a, I>(pub(super) &'a Mailbox<I>);
 
 impl<I: Send> Interrupt for NextScan<'_, I> {
     fn is_requested(&self) -> bool {
@@ -110,9 +109,9 @@ pub(super) struct Dropped {
 }
 
 impl<I> Mailbox<I> {
-    pub(super) fn put_scan(&self, letter: Letter) {
+    pub(super) fn put_scan(&self, raw: RawMessage) {
         let mut state = self.lock();
-        let overwritten = state.work.scan.replace(letter).is_some();
+        let overwritten = state.work.scan.replace(raw).is_some();
         state.dropped.scans += u64::from(overwritten);
         self.filled.notify_one();
     }
@@ -190,32 +189,33 @@ impl<I> Mailbox<I> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ros::input::Input;
 
-    fn letter(arrival: u64) -> Letter {
-        Letter { arrival: Duration::from_millis(arrival), sender: "/driver".into(), bytes: Vec::new() }
+    fn raw(arrival: u64) -> RawMessage {
+        RawMessage { arrival: Duration::from_millis(arrival), sender: "/driver".into(), bytes: Vec::new() }
     }
 
     #[test]
     fn the_newest_scan_wins_and_events_keep_their_order() {
-        let mailbox: Mailbox = Mailbox::default();
-        mailbox.put_event(Event::Message(Input::Odometry, letter(1)));
-        mailbox.put_scan(letter(2));
+        let mailbox = Mailbox::default();
+        mailbox.put_event(Event::Message(Input::Odometry, raw(1)));
+        mailbox.put_scan(raw(2));
         mailbox.put_event(Event::Reset);
-        mailbox.put_scan(letter(3));
+        mailbox.put_scan(raw(3));
         let work = mailbox.take().unwrap();
-        assert_eq!(work.scan, Some(letter(3)));
-        assert_eq!(work.events, [Event::Message(Input::Odometry, letter(1)), Event::Reset]);
+        assert_eq!(work.scan, Some(raw(3)));
+        assert_eq!(work.events, [Event::Message(Input::Odometry, raw(1)), Event::Reset]);
         assert_eq!(mailbox.dropped(), Dropped { scans: 1, events: 0 });
     }
 
     #[test]
     fn a_full_mailbox_loses_the_oldest_events_and_counts_them() {
-        let mailbox: Mailbox = Mailbox::default();
+        let mailbox = Mailbox::default();
         for arrival in 0..CAPACITY as u64 + 2 {
-            mailbox.put_event(Event::Message(Input::Odometry, letter(arrival)));
+            mailbox.put_event(Event::Message(Input::Odometry, raw(arrival)));
         }
         let work = mailbox.take().unwrap();
-        assert_eq!((work.events.len(), work.events.front()), (CAPACITY, Some(&Event::Message(Input::Odometry, letter(2)))));
+        assert_eq!((work.events.len(), work.events.front()), (CAPACITY, Some(&Event::Message(Input::Odometry, raw(2)))));
         assert_eq!(mailbox.dropped(), Dropped { scans: 0, events: 2 });
     }
 
@@ -224,37 +224,37 @@ mod tests {
         let mailbox = Mailbox::default();
         for arrival in 0..5 {
             let bytes = vec![0; CAPACITY_BYTES / 3];
-            mailbox.put_event(Event::Message(Input::Transforms, Letter { bytes, ..letter(arrival) }));
+            mailbox.put_event(Event::Message(Input::Transforms, RawMessage { bytes, ..raw(arrival) }));
         }
         assert_eq!((mailbox.take().unwrap().events.len(), mailbox.dropped().events), (3, 2));
-        mailbox.put_event(Event::Message(Input::Transforms, Letter { bytes: vec![0; CAPACITY_BYTES + 1], ..letter(6) }));
+        mailbox.put_event(Event::Message(Input::Transforms, RawMessage { bytes: vec![0; CAPACITY_BYTES + 1], ..raw(6) }));
         mailbox.put_event(Event::Reset);
         assert_eq!((mailbox.take().unwrap().events.len(), mailbox.dropped().events), (1, 3), "too long to be kept at all");
     }
 
     #[test]
     fn a_held_scan_waits_for_events_but_not_for_ever() {
-        let mailbox: Mailbox = Mailbox::default();
+        let mailbox = Mailbox::<Input>::default();
         assert_eq!(mailbox.take_events(Duration::from_millis(1)), None);
         mailbox.put_event(Event::Reset);
         assert_eq!(mailbox.take_events(Duration::from_secs(60)), Some(VecDeque::from([Event::Reset])));
-        mailbox.put_scan(letter(1));
+        mailbox.put_scan(raw(1));
         assert_eq!(mailbox.take_events(Duration::from_secs(60)), None, "a newer scan ends the wait");
     }
 
     #[test]
     fn a_timer_is_not_held_up_where_there_is_nothing() {
-        let mailbox: Mailbox = Mailbox::default();
+        let mailbox = Mailbox::<Input>::default();
         assert_eq!(mailbox.take_within(Duration::from_millis(1)), Some(Work::default()));
-        mailbox.put_scan(letter(1));
-        assert_eq!(mailbox.take_within(Duration::from_secs(60)).unwrap().scan, Some(letter(1)));
+        mailbox.put_scan(raw(1));
+        assert_eq!(mailbox.take_within(Duration::from_secs(60)).unwrap().scan, Some(raw(1)));
         mailbox.close();
         assert_eq!(mailbox.take_within(Duration::from_secs(60)), None);
     }
 
     #[test]
     fn closing_ends_the_wait() {
-        let mailbox: Mailbox = Mailbox::default();
+        let mailbox = Mailbox::<Input>::default();
         std::thread::scope(|scope| {
             let waiting = scope.spawn(|| mailbox.take());
             mailbox.close();

@@ -16,6 +16,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::thread;
 
 use rosrust::api::resolve;
+use rosrust::{Message, Publisher};
 use xml_rpc::{Fault, Params, Response, Server, Url, Value};
 
 use super::NodeError;
@@ -130,11 +131,15 @@ pub(super) fn set_inputs(inputs: &Arc<impl Inputs + 'static>) {
     }
 }
 
-/// What the node publishes, too, for as long as there are `listeners`.
-pub(super) fn add_output(topic: String, listeners: impl Fn() -> Option<Vec<String>> + Send + 'static) {
+/// A publisher that `rosnode info` tells of for as long as it lives.
+pub(super) fn listed<T: Message>(topic: String, publisher: Publisher<T>) -> Arc<Publisher<T>> {
+    let publisher = Arc::new(publisher);
     if let Some(node) = NODE.get() {
-        lock(&node.outputs).push(Output { topic, listeners: Box::new(listeners) });
+        let weak = Arc::downgrade(&publisher);
+        let listeners = Box::new(move || Some(weak.upgrade()?.subscriber_names()));
+        lock(&node.outputs).push(Output { topic, listeners });
     }
+    publisher
 }
 
 impl NodeApi {

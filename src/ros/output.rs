@@ -7,21 +7,13 @@ use rosrust::api::Ros;
 use rosrust::{Publisher, RawMessage, RawMessageDescription};
 
 use super::NodeError;
-use super::master::{Role, resolved};
-use super::node_api;
+use super::master::{MasterRegistration, resolved};
+use super::node_api::listed;
 use super::priority::urgently;
 use crate::messages::{Message, encode};
 
 /// Messages that may wait for a subscriber: a bag played fast makes bursts of answers, and of `icp_state` every edge counts.
 const QUEUE: usize = 100;
-
-/// A publisher that `rosnode info` tells of for as long as it lives.
-pub(super) fn listed<T: rosrust::Message>(topic: String, publisher: Publisher<T>) -> Arc<Publisher<T>> {
-    let publisher = Arc::new(publisher);
-    let weak = Arc::downgrade(&publisher);
-    node_api::add_output(topic, move || Some(weak.upgrade()?.subscriber_names()));
-    publisher
-}
 
 /// A topic that messages of one type leave by.
 ///
@@ -79,8 +71,8 @@ impl<T: Message> Output<T> {
         let _ = self.publisher.send(RawMessage(encode(message).unwrap_or_default()));
     }
 
-    /// How it stands in the master's books.
-    pub(super) fn role(&self) -> Role {
-        Role::Publisher { topic: self.topic, message_type: T::TYPE.into() }
+    /// How it is registered with the master.
+    pub(super) fn registration(&self) -> MasterRegistration {
+        MasterRegistration::Publisher { topic: self.topic, message_type: T::TYPE.into() }
     }
 }

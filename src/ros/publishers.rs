@@ -8,7 +8,7 @@ use rosrust::api::Ros;
 use super::NodeError;
 use super::compat::{Face, PoseOutputs};
 use super::convert::Answer;
-use super::master::Role;
+use super::master::MasterRegistration;
 use super::output::Output;
 use super::path::PathHistory;
 use super::transform_output::TransformOutput;
@@ -54,11 +54,21 @@ impl Publishers {
         })
     }
 
-    /// How the topics stand in the master's books.
-    pub(super) fn roles(&self) -> Vec<Role> {
-        let always =
-            [self.pose.role(), self.state.role(), self.odometry.role(), self.report.role(), self.path.role(), self.debug.role()];
-        always.into_iter().chain(self.transform.role()).chain(self.compat.iter().flat_map(PoseOutputs::roles)).collect()
+    /// How the topics are registered with the master.
+    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
+        let always = [
+            self.pose.registration(),
+            self.state.registration(),
+            self.odometry.registration(),
+            self.report.registration(),
+            self.path.registration(),
+            self.debug.registration(),
+        ];
+        always
+            .into_iter()
+            .chain(self.transform.registration())
+            .chain(self.compat.iter().flat_map(PoseOutputs::registrations))
+            .collect()
     }
 
     /// Whether anybody looks at matched points.

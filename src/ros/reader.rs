@@ -4,8 +4,8 @@ use std::error::Error;
 use std::sync::Arc;
 
 use super::diagnostics::Monitor;
-use super::inlet::Letter;
 use super::log::{Log, Throttle};
+use super::sink::RawMessage;
 use crate::anytime::clock::Clock;
 use crate::messages::{Message, decode};
 
@@ -28,9 +28,9 @@ impl Reader {
         Self { monitor: Some(Arc::clone(monitor)), ..self }
     }
 
-    /// The message of a letter, if it is one. `subject`: what it is called where it is none.
-    pub(super) fn read<T: Message>(&mut self, subject: &'static str, letter: &Letter) -> Option<T> {
-        decode(&letter.bytes).map_err(|error| self.refuse(subject, &letter.sender, &error)).ok()
+    /// The message of a raw, if it is one. `subject`: what it is called where it is none.
+    pub(super) fn read<T: Message>(&mut self, subject: &'static str, raw: &RawMessage) -> Option<T> {
+        decode(&raw.bytes).map_err(|error| self.refuse(subject, &raw.sender, &error)).ok()
     }
 
     /// A message is of no use.

@@ -14,11 +14,11 @@ use std::time::{Duration, Instant};
 use rosrust::api::{Master, Ros, SystemState};
 
 use super::NodeError;
-use super::feed::Feed;
-use super::inlet::{Inlet, Topic};
 use super::log::Log;
 use super::master::{connect, resolved};
 use super::node_api::{self, Inputs};
+use super::sink::{RawMessage, Sink, Topic};
+use super::topic_subscription::TopicSubscription;
 use crate::anytime::clock::Clock;
 
 /// Time between two questions to the master who publishes, while there is nobody to hear from or somebody has just come or gone:
@@ -32,7 +32,7 @@ const SETTLING: Duration = Duration::from_secs(2);
 const REST: u32 = 10;
 
 /// A node's subscriptions. Dropping this ends them.
-pub(super) struct Links<'a> {
+pub(super) struct Subscriptions<'a> {
     ros: &'a Ros,
     clock: Arc<dyn Clock>,
     log: Log,
@@ -41,19 +41,24 @@ pub(super) struct Links<'a> {
 
 struct Shared {
     master: Arc<Master>,
-    feeds: Mutex<Vec<Arc<Feed>>>,
+    subscriptions: Mutex<Vec<Arc<TopicSubscription>>>,
     closed: AtomicBool,
     watcher: OnceLock<Thread>,
 }
 
 impl Inputs for Shared {
     fn topics(&self) -> Vec<(String, String)> {
-        self.feeds().iter().map(|feed| (feed.topic.clone(), feed.wanted().message_type.into())).collect()
+        self.subscriptions()
+            .iter()
+            .map(|subscription| (subscription.topic.clone(), subscription.wanted().message_type.into()))
+            .collect()
     }
 
     fn connections(&self) -> Vec<(String, String)> {
-        let of_feed = |feed: &Arc<Feed>| feed.heard().into_iter().map(|node| (feed.topic.clone(), node)).collect::<Vec<_>>();
-        self.feeds().iter().flat_map(of_feed).collect()
+        let of_subscription = |subscription: &Arc<TopicSubscription>| {
+            subscription.heard().into_iter().map(|node| (subscription.topic.clone(), node)).collect::<Vec<_>>()
+        };
+        self.subscriptions().iter().flat_map(of_subscription).collect()
     }
 
     fn look_again(&self) {
@@ -61,15 +66,19 @@ impl Inputs for Shared {
     }
 }
 
-impl<'a> Links<'a> {
+impl<'a> Subscriptions<'a> {
     /// Without subscriptions so far.
     pub(super) fn new(ros: &'a Ros, clock: &Arc<dyn Clock>, log: &Log) -> Result<Self, NodeError> {
         let master = Arc::new(connect(ros.name(), ros.uri())?);
-        let shared =
-            Arc::new(Shared { master, feeds: Mutex::default(), closed: AtomicBool::new(false), watcher: OnceLock::new() });
+        let shared = Arc::new(Shared {
+            master,
+            subscriptions: Mutex::default(),
+            closed: AtomicBool::new(false),
+            watcher: OnceLock::new(),
+        });
         let watched = Arc::clone(&shared);
         let watcher = thread::Builder::new()
-            .name("links".into())
+            .name("subscriptions".into())
             .spawn(move || watched.watch())
             .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
         let _ = shared.watcher.set(watcher.thread().clone());
@@ -77,28 +86,30 @@ impl<'a> Links<'a> {
         Ok(Self { ros, clock: Arc::clone(clock), log: log.clone(), shared })
     }
 
-    /// Subscribes to the topic of `inlet`.
-    pub(super) fn add(&self, inlet: Inlet) -> Result<(), NodeError> {
-        let (topic, master) = (resolved(self.ros, inlet.topic.name)?, Arc::clone(&self.shared.master));
-        let failed = |error| NodeError::ros(format!("subscribe to '{}'", inlet.topic.name), &error);
-        master.register_subscriber(&topic, inlet.topic.message_type).map_err(failed)?;
-        let feed = Feed::new(topic, self.ros.name(), master, Arc::clone(&self.clock), self.log.clone(), inlet);
-        self.shared.feeds().push(Arc::new(feed));
+    /// Subscribes to `topic`, whoever publishes it, except the node itself; what comes goes to `receive`, which must not be slow.
+    pub(super) fn listen(&self, topic: Topic, receive: impl FnMut(RawMessage) + Send + 'static) -> Result<(), NodeError> {
+        let sink = Sink::new(topic, receive);
+        let (topic, master) = (resolved(self.ros, sink.topic.name)?, Arc::clone(&self.shared.master));
+        let failed = |error| NodeError::ros(format!("subscribe to '{}'", sink.topic.name), &error);
+        master.register_subscriber(&topic, sink.topic.message_type).map_err(failed)?;
+        let subscription =
+            TopicSubscription::new(topic, self.ros.name(), master, Arc::clone(&self.clock), self.log.clone(), sink);
+        self.shared.subscriptions().push(Arc::new(subscription));
         self.shared.look_again();
         Ok(())
     }
 
     /// Messages that were too long to be read.
     pub(super) fn refused(&self) -> u64 {
-        self.shared.feeds().iter().map(|feed| feed.refused()).sum()
+        self.shared.subscriptions().iter().map(|subscription| subscription.refused()).sum()
     }
 }
 
-impl Drop for Links<'_> {
+impl Drop for Subscriptions<'_> {
     fn drop(&mut self) {
         self.shared.closed.store(true, Ordering::Relaxed);
-        for feed in self.shared.feeds().iter() {
-            let _ = self.shared.master.unregister_subscriber(&feed.topic); // the master may be gone
+        for subscription in self.shared.subscriptions().iter() {
+            let _ = self.shared.master.unregister_subscriber(&subscription.topic); // the master may be gone
         }
     }
 }
@@ -114,7 +125,8 @@ impl Shared {
                 changed = asked;
             }
             self.tell_silence();
-            let is_calm = changed.elapsed() > SETTLING && !self.feeds().iter().any(|feed| feed.is_missed());
+            let is_calm =
+                changed.elapsed() > SETTLING && !self.subscriptions().iter().any(|subscription| subscription.is_missed());
             let period = if is_calm { CALM_PERIOD } else { PERIOD };
             thread::park_timeout(period.max(REST * took));
         }
@@ -123,32 +135,32 @@ impl Shared {
     /// Answers whether somebody has come or gone.
     fn update(&self, state: &SystemState) -> bool {
         let mut has_changed = false;
-        for feed in self.feeds().iter() {
-            let entry = state.publishers.iter().find(|entry| entry.name == feed.topic);
-            has_changed |= feed.set_publishers(entry.into_iter().flat_map(|entry| &entry.connections).cloned().collect());
+        for subscription in self.subscriptions().iter() {
+            let entry = state.publishers.iter().find(|entry| entry.name == subscription.topic);
+            has_changed |= subscription.set_publishers(entry.into_iter().flat_map(|entry| &entry.connections).cloned().collect());
         }
         has_changed
     }
 
     /// Warns of topics on which nothing comes, and says where it may come instead.
     fn tell_silence(&self) {
-        let feeds: Vec<Arc<Feed>> = self.feeds().iter().cloned().collect();
-        for feed in feeds {
-            let Some(publishers) = feed.falls_silent() else { continue };
-            let Topic { name, message_type, .. } = feed.wanted();
+        let subscriptions: Vec<Arc<TopicSubscription>> = self.subscriptions().iter().cloned().collect();
+        for subscription in subscriptions {
+            let Some(publishers) = subscription.falls_silent() else { continue };
+            let Topic { name, message_type, .. } = subscription.wanted();
             let published = self.master.get_published_topics("").unwrap_or_default();
             let others: Vec<String> = published
                 .into_iter()
-                .filter(|(topic, published)| published == message_type && *topic != feed.topic)
+                .filter(|(topic, published)| published == message_type && *topic != subscription.topic)
                 .map(|(topic, _)| topic)
                 .collect();
             let text = silence(name, message_type, &publishers, &others);
-            feed.log.warn(&format!("topic {}: no message for 5 s: {text}", feed.topic));
+            subscription.log.warn(&format!("topic {}: no message for 5 s: {text}", subscription.topic));
         }
     }
 
-    fn feeds(&self) -> MutexGuard<'_, Vec<Arc<Feed>>> {
-        self.feeds.lock().unwrap_or_else(PoisonError::into_inner)
+    fn subscriptions(&self) -> MutexGuard<'_, Vec<Arc<TopicSubscription>>> {
+        self.subscriptions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

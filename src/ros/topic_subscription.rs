@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use rosrust::api::Master;
 
-use super::inlet::{Inlet, Topic};
 use super::log::{Log, Throttle};
+use super::sink::{Sink, Topic};
 use super::tcpros::{LinkError, connect, read_message, request_topic};
 use crate::anytime::clock::Clock;
 
@@ -21,14 +21,14 @@ const SILENCE: Duration = Duration::from_secs(5);
 
 /// A topic, and a thread for each of its publishers. A link lives as long as its connection does: a master that has forgotten the
 /// publisher does not end it.
-pub(super) struct Feed {
+pub(super) struct TopicSubscription {
     /// The topic's name in full.
     pub(super) topic: String,
     pub(super) node: String,
     pub(super) master: Arc<Master>,
     pub(super) clock: Arc<dyn Clock>,
     pub(super) log: Log,
-    pub(super) inlet: Mutex<Inlet>,
+    pub(super) sink: Mutex<Sink>,
     is_vital: bool,
     publishers: Mutex<Publishers>,
     refused: AtomicU64,
@@ -72,12 +72,12 @@ struct Publishers {
     throttle: Throttle,
 }
 
-impl Feed {
-    pub(super) fn new(topic: String, node: &str, master: Arc<Master>, clock: Arc<dyn Clock>, log: Log, inlet: Inlet) -> Self {
-        let (is_vital, inlet) = (inlet.topic.is_vital, Mutex::new(inlet));
+impl TopicSubscription {
+    pub(super) fn new(topic: String, node: &str, master: Arc<Master>, clock: Arc<dyn Clock>, log: Log, sink: Sink) -> Self {
+        let (is_vital, sink) = (sink.topic.is_vital, Mutex::new(sink));
         let (publishers, refused, open) = (Mutex::default(), AtomicU64::new(0), AtomicU64::new(0));
         let silence = Mutex::new(Silence { since: clock.now(), ..Silence::default() });
-        Self { topic, node: node.into(), master, clock, log, inlet, is_vital, publishers, refused, open, silence }
+        Self { topic, node: node.into(), master, clock, log, sink, is_vital, publishers, refused, open, silence }
     }
 
     /// Messages that were too long to be read.
@@ -87,7 +87,7 @@ impl Feed {
 
     /// What is listened for.
     pub(super) fn wanted(&self) -> Topic {
-        lock(&self.inlet).topic
+        lock(&self.sink).topic
     }
 
     /// The nodes that it is connected to.
@@ -119,8 +119,8 @@ impl Feed {
             lock(&self.silence).end(self.clock.now(), false);
         }
         for publisher in new {
-            let (feed, name) = (Arc::clone(self), publisher.clone());
-            match thread::Builder::new().name("link".into()).spawn(move || feed.follow(&name)) {
+            let (subscription, name) = (Arc::clone(self), publisher.clone());
+            match thread::Builder::new().name("link".into()).spawn(move || subscription.follow(&name)) {
                 Ok(_) => drop(publishers.linked.insert(publisher)),
                 Err(error) if publishers.throttle.allows("thread", self.clock.now()) => {
                     self.log.warn(&format!("topic {}: no connection to {publisher}: cannot start a thread: {error}", self.topic));
@@ -131,7 +131,7 @@ impl Feed {
         has_changed
     }
 
-    /// Links to `publisher`, again and again, for as long as it is wanted.
+    /// Subscriptions to `publisher`, again and again, for as long as it is wanted.
     fn follow(&self, publisher: &str) {
         let (mut throttle, mut told) = (Throttle::default(), None);
         loop {
@@ -164,7 +164,7 @@ impl Feed {
         let uri = self.master.lookup_node(publisher).map_err(|error| LinkError::Unknown(error.to_string()))?;
         let address = request_topic(&uri, &self.node, &self.topic)?;
         let (stream, header) = connect(&address, &self.node, &self.topic)?;
-        let fits = lock(&self.inlet).accepts(&header, publisher, &self.topic, &self.log);
+        let fits = lock(&self.sink).accepts(&header, publisher, &self.topic, &self.log);
         self.open.fetch_add(1, Ordering::Relaxed);
         lock(&self.publishers).heard.insert(publisher.into());
         let problem = self.hear(stream, fits, publisher, messages);
@@ -187,7 +187,7 @@ impl Feed {
             *messages += 1;
             if fits {
                 lock(&self.silence).end(arrival, true);
-                lock(&self.inlet).message(bytes, publisher, arrival);
+                lock(&self.sink).message(bytes, publisher, arrival);
             }
         }
     }

@@ -6,14 +6,14 @@ use std::time::Duration;
 
 use super::NodeError;
 use super::diagnostics::{MOUNT_ASSUMED, Monitor};
-use super::inlet::{Letter, Topic, listen};
 use super::interrupts::Interrupts;
-use super::links::Links;
 use super::log::Log;
 use super::mailbox::{Event, Mailbox, Work};
 use super::numbering::Numbering;
 use super::priority::Urgency;
 use super::reader::Reader;
+use super::sink::{RawMessage, Topic};
+use super::subscriptions::Subscriptions;
 use crate::anytime::clock::Clock;
 use crate::anytime::timer::Timer;
 use crate::app::MountSource;
@@ -22,7 +22,7 @@ use crate::time::Stamp;
 use crate::transforms::Mount;
 
 /// Transforms may come a little later than the first scans do.
-const PATIENCE_FOR_MOUNT: Duration = Duration::from_secs(2);
+const MOUNT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// What becomes of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,7 +55,7 @@ pub(super) trait NodeInput: Copy + Send + Sync + 'static {
 
 /// Subscribes to `input`; what comes goes into the mailbox.
 pub(super) fn subscribe<I: NodeInput>(
-    links: &Links,
+    subscriptions: &Subscriptions,
     input: I,
     mailbox: &Arc<Mailbox<I>>,
     interrupts: &Arc<Interrupts>,
@@ -63,15 +63,15 @@ pub(super) fn subscribe<I: NodeInput>(
     let (mailbox, interrupts) = (Arc::clone(mailbox), Arc::clone(interrupts));
     let mut numbering = Numbering::default();
     let kind = input.kind();
-    let receive = move |letter: Letter| match kind {
+    let receive = move |raw: RawMessage| match kind {
         Kind::Scan => {
-            mailbox.count_lost_scans(numbering.lost_before(&letter).into());
-            mailbox.put_scan(letter);
+            mailbox.count_lost_scans(numbering.lost_before(&raw).into());
+            mailbox.put_scan(raw);
         }
         Kind::Interrupt => interrupts.request(),
-        Kind::Event => mailbox.put_event(Event::Message(input, letter)),
+        Kind::Event => mailbox.put_event(Event::Message(input, raw)),
     };
-    listen(links, input.topic(), receive)
+    subscriptions.listen(input.topic(), receive)
 }
 
 /// What the working thread shares with the rest of the node.
@@ -109,11 +109,11 @@ impl<I> Desk<I> {
         Self { mailbox, interrupts, clock, monitor, log, reader, urgency, takes_clouds, mount_told: None, first_answer: None }
     }
 
-    fn read_sensed(&mut self, letter: &Letter) -> Option<Sensed> {
+    fn read_sensed(&mut self, raw: &RawMessage) -> Option<Sensed> {
         if self.takes_clouds {
-            self.reader.read("cloud", letter).map(Sensed::Cloud)
+            self.reader.read("cloud", raw).map(Sensed::Cloud)
         } else {
-            self.reader.read("scan", letter).map(Sensed::Scan)
+            self.reader.read("scan", raw).map(Sensed::Scan)
         }
     }
 
@@ -121,7 +121,7 @@ impl<I> Desk<I> {
     pub(super) fn watch_mount(&mut self, (mount, source): (Mount, MountSource)) {
         let now = self.clock.now();
         let waited = now.saturating_sub(*self.first_answer.get_or_insert(now));
-        if self.mount_told == Some(source) || (source == MountSource::Assumed && waited < PATIENCE_FOR_MOUNT) {
+        if self.mount_told == Some(source) || (source == MountSource::Assumed && waited < MOUNT_TIMEOUT) {
             return;
         }
         self.mount_told = Some(source);
@@ -178,7 +178,7 @@ pub(super) struct Worker<E: Estimator> {
     estimator: E,
     desk: Desk<E::Input>,
     /// The newest scan, until the timer calls for an answer.
-    held: Option<Letter>,
+    held: Option<RawMessage>,
 }
 
 impl<E: Estimator> Worker<E> {
@@ -206,7 +206,7 @@ impl<E: Estimator> Worker<E> {
             if timer.as_mut().is_none_or(|timer| timer.is_due(now)) {
                 match self.held.take() {
                     // Where a timer calls for the answer, the time counts from its call.
-                    Some(letter) => self.answer(&letter, if timer.is_some() { now } else { letter.arrival }),
+                    Some(raw) => self.answer(&raw, if timer.is_some() { now } else { raw.arrival }),
                     None if timer.is_some() => self.estimator.carry_on(),
                     None => {}
                 }
@@ -229,9 +229,9 @@ impl<E: Estimator> Worker<E> {
         }
     }
 
-    fn answer(&mut self, letter: &Letter, arrival: Duration) {
+    fn answer(&mut self, raw: &RawMessage, arrival: Duration) {
         self.desk.interrupts.begin();
-        match self.desk.read_sensed(letter) {
+        match self.desk.read_sensed(raw) {
             Some(scan) => {
                 self.await_odometry(scan.stamp(), arrival);
                 self.estimator.answer(&scan, arrival, &mut self.desk);

@@ -7,7 +7,7 @@ use crate::messages::Message;
 use crate::messages::geometry_msgs::{Pose2D, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped};
 use crate::ros::NodeError;
 use crate::ros::convert::Answer;
-use crate::ros::master::Role;
+use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
 
 /// Those that are wanted.
@@ -28,12 +28,12 @@ impl PoseOutputs {
         })
     }
 
-    pub(in crate::ros) fn roles(&self) -> impl Iterator<Item = Role> {
+    pub(in crate::ros) fn registrations(&self) -> impl Iterator<Item = MasterRegistration> {
         let all = [
-            self.planar.as_ref().map(Output::role),
-            self.stamped.as_ref().map(Output::role),
-            self.with_covariance.as_ref().map(Output::role),
-            self.with_covariance_stamped.as_ref().map(Output::role),
+            self.planar.as_ref().map(Output::registration),
+            self.stamped.as_ref().map(Output::registration),
+            self.with_covariance.as_ref().map(Output::registration),
+            self.with_covariance_stamped.as_ref().map(Output::registration),
         ];
         all.into_iter().flatten()
     }

@@ -21,13 +21,13 @@ use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::{self, MatchReport};
 use crate::messages::std_msgs::{Header, Int32};
 use crate::ros::NodeError;
-use crate::ros::inlet::{Letter, Topic, listen};
-use crate::ros::links::Links;
 use crate::ros::log::{Log, ROSOUT};
-use crate::ros::master::{MasterLink, Role};
+use crate::ros::master::{MasterLink, MasterRegistration};
 use crate::ros::output::Output;
 use crate::ros::reader::Reader;
 use crate::ros::shutdown::StopSignal;
+use crate::ros::sink::{RawMessage, Topic};
+use crate::ros::subscriptions::Subscriptions;
 
 /// How often the node looks whether it is to stop.
 const TICK: Duration = Duration::from_millis(100);
@@ -58,7 +58,7 @@ pub(super) struct Controller<'a> {
     ros: &'a Ros,
     clock: Arc<dyn Clock>,
     master: MasterLink<'a>,
-    letters: Receiver<(Input, Letter)>,
+    received: Receiver<(Input, RawMessage)>,
     contracts: Output<own::Contract>,
     asking: Asking,
     schedule: Schedule,
@@ -70,7 +70,7 @@ pub(super) struct Controller<'a> {
     log: Log,
     reader: Reader,
     // Dropping this ends them.
-    _subscriptions: Links<'a>,
+    _subscriptions: Subscriptions<'a>,
 }
 
 impl<'a> Controller<'a> {
@@ -81,19 +81,22 @@ impl<'a> Controller<'a> {
         let asking = Asking::new(policy, knobs)?;
         let csv = knobs.csv.as_deref().map(create).transpose()?;
         let contracts = Output::new(ros, "icp_contract")?;
-        let (sender, letters) = channel();
-        let links = Links::new(ros, &clock, &log)?;
-        Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, sender.clone()))?;
-        let mut roles: Vec<Role> = Input::ALL.map(|input| input.topic().role()).into();
-        roles.extend([contracts.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
-        let master = MasterLink::new(ros, master, roles, &log)?;
+        let (sender, received) = channel();
+        let subscriptions = Subscriptions::new(ros, &clock, &log)?;
+        Input::ALL.into_iter().try_for_each(|input| subscribe(&subscriptions, input, sender.clone()))?;
+        let mut registrations: Vec<MasterRegistration> = Input::ALL.map(|input| input.topic().registration()).into();
+        registrations.extend([
+            contracts.registration(),
+            MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() },
+        ]);
+        let master = MasterLink::new(ros, master, registrations, &log)?;
         log.info(&in_words);
         let reader = Reader::new(&clock, &log);
         Ok(Self {
             ros,
             clock,
             master,
-            letters,
+            received,
             contracts,
             asking,
             schedule: Schedule::default(),
@@ -103,7 +106,7 @@ impl<'a> Controller<'a> {
             log_period: Duration::from_secs_f64(knobs.log_period.0),
             log,
             reader,
-            _subscriptions: links,
+            _subscriptions: subscriptions,
         })
     }
 
@@ -111,8 +114,8 @@ impl<'a> Controller<'a> {
     pub(super) fn run(mut self, stop: &StopSignal) {
         let (mut looked, mut logged) = (self.clock.now(), self.clock.now());
         while !stop.wait(Duration::ZERO) && self.ros.is_ok() {
-            if let Ok((input, letter)) = self.letters.recv_timeout(TICK) {
-                self.handle(input, &letter);
+            if let Ok((input, raw)) = self.received.recv_timeout(TICK) {
+                self.handle(input, &raw);
             }
             let now = self.clock.now();
             if now.saturating_sub(looked) >= MASTER_PERIOD {
@@ -127,20 +130,20 @@ impl<'a> Controller<'a> {
         self.log.info(&format!("in all: {}", self.adherence.total()));
     }
 
-    fn handle(&mut self, input: Input, letter: &Letter) {
+    fn handle(&mut self, input: Input, raw: &RawMessage) {
         match input {
             Input::Odometry => {
-                if let Some(message) = self.reader.read(Odometry::TYPE, letter) {
+                if let Some(message) = self.reader.read(Odometry::TYPE, raw) {
                     self.on_odometry(&message);
                 }
             }
             Input::State => {
-                if let Some(message) = self.reader.read::<Int32>(Int32::TYPE, letter) {
+                if let Some(message) = self.reader.read::<Int32>(Int32::TYPE, raw) {
                     self.adherence.on_state(message.data);
                 }
             }
             Input::Report => {
-                if let Some(message) = self.reader.read(MatchReport::TYPE, letter) {
+                if let Some(message) = self.reader.read(MatchReport::TYPE, raw) {
                     self.on_report(&message);
                 }
             }
@@ -195,9 +198,9 @@ fn in_words(policy: &Policy) -> String {
     }
 }
 
-fn subscribe(links: &Links, input: Input, sender: Sender<(Input, Letter)>) -> Result<(), NodeError> {
+fn subscribe(subscriptions: &Subscriptions, input: Input, sender: Sender<(Input, RawMessage)>) -> Result<(), NodeError> {
     // Nobody listens any more when the node is ending.
-    listen(links, input.topic(), move |letter| drop(sender.send((input, letter))))
+    subscriptions.listen(input.topic(), move |raw| drop(sender.send((input, raw))))
 }
 
 /// Makes the CSV file anew; it is whole after every row.

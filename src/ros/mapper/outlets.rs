@@ -11,7 +11,7 @@ use crate::mapping::Mapper;
 use crate::messages::nav_msgs;
 use crate::messages::visualization_msgs::Marker;
 use crate::ros::NodeError;
-use crate::ros::master::Role;
+use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
 use crate::ros::services::LastMap;
 use crate::time::Stamp;
@@ -37,9 +37,9 @@ impl Outlets {
         })
     }
 
-    /// How the topics stand in the master's books.
-    pub(super) fn roles(&self) -> Vec<Role> {
-        vec![self.map.role(), self.metadata.role(), self.graph.role()]
+    /// How the topics are registered with the master.
+    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
+        vec![self.map.registration(), self.metadata.registration(), self.graph.registration()]
     }
 
     /// The map that was published last.

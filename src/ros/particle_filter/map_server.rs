@@ -8,7 +8,7 @@ use crate::map::grid::OccupancyGrid;
 use crate::messages::nav_msgs;
 use crate::ros::NodeError;
 use crate::ros::log::Log;
-use crate::ros::master::{Role, connect, resolved};
+use crate::ros::master::{MasterRegistration, connect, resolved};
 use crate::ros::output::Output;
 use crate::ros::services::{self, Service};
 
@@ -38,9 +38,9 @@ impl MapServer {
         Ok(Some((server, service)))
     }
 
-    /// How the topics stand in the master's books.
-    pub(super) fn roles(&self) -> [Role; 2] {
-        [self.map.role(), self.metadata.role()]
+    /// How the topics are registered with the master.
+    pub(super) fn registrations(&self) -> [MasterRegistration; 2] {
+        [self.map.registration(), self.metadata.registration()]
     }
 }
 

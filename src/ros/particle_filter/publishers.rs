@@ -13,7 +13,7 @@ use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::FilterReport;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::ros::NodeError;
-use crate::ros::master::Role;
+use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
 use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
@@ -50,11 +50,20 @@ impl Publishers {
         })
     }
 
-    /// How the topics stand in the master's books.
-    pub(super) fn roles(&self) -> Vec<Role> {
-        let always =
-            [self.pose.role(), self.report.role(), self.particles.role(), self.inferred_pose.role(), self.fake_scan.role()];
-        always.into_iter().chain(self.transform.role()).chain(self.map.iter().flat_map(MapServer::roles)).collect()
+    /// How the topics are registered with the master.
+    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
+        let always = [
+            self.pose.registration(),
+            self.report.registration(),
+            self.particles.registration(),
+            self.inferred_pose.registration(),
+            self.fake_scan.registration(),
+        ];
+        always
+            .into_iter()
+            .chain(self.transform.registration())
+            .chain(self.map.iter().flat_map(MapServer::registrations))
+            .collect()
     }
 
     /// The output of transforms.

@@ -17,7 +17,7 @@ use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::knobs::Seconds;
-use anytime_scan_matcher::localization::filter::Belief;
+use anytime_scan_matcher::localization::estimate::Belief;
 use anytime_scan_matcher::map::grid::OccupancyGrid;
 use anytime_scan_matcher::matching::StopReason;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
