@@ -1,4 +1,4 @@
-//! What there is to say of an answer, besides its pose: one record each, from which message, CSV and summary are made.
+//! The report on an answer: one record, from which message, CSV and summary are made.
 
 use super::Estimate;
 use super::localizer::Fix;

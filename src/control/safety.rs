@@ -35,7 +35,7 @@ pub enum StopReason {
 }
 
 impl StopReason {
-    /// Its kind, for programs.
+    /// Its code, for programs.
     pub fn code(&self) -> &'static str {
         match self {
             Self::NoPath => "no_path",

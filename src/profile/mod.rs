@@ -48,7 +48,7 @@ pub enum ProfileError {
     /// A value is none of its knob's.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The contract of the configuration is none.
+    /// The contract of the configuration is invalid.
     #[error(transparent)]
     Contract(#[from] ContractError),
     /// The particle filter cannot be had.

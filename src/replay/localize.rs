@@ -15,11 +15,12 @@ use crate::app::Answering as _;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::sensed::Sensed;
 use crate::evaluation::association::MatchedPose;
-use crate::evaluation::statistics::{PoseErrors, percentile};
+use crate::evaluation::statistics::PoseErrors;
 use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::Pose2;
 use crate::io::bag::{Bag, BagError};
 use crate::localization::estimate::Belief;
+use crate::quantile;
 use crate::time::Stamp;
 
 /// What became of a scan.
@@ -116,7 +117,7 @@ impl LocalizationSummary {
         self.between += 1;
     }
 
-    /// Takes an answer; tells its pose, if it has one.
+    /// Adds an answer; returns its pose, if it has one.
     pub fn add(&mut self, BeliefRow { pose, report, .. }: &BeliefRow) -> Option<StampedPose> {
         let Some(pose) = *pose else {
             self.unused.entry(report.failure.clone()).or_insert_with(|| (0, report.reason.clone())).0 += 1;
@@ -183,7 +184,7 @@ impl LocalizationSummary {
     fn times(&self) -> [f64; 3] {
         let mut sorted = self.elapsed.clone();
         sorted.sort_unstable();
-        [50, 99, 100].map(|percent| percentile(&sorted, percent).map_or(0.0, microseconds))
+        [0.5, 0.99, 1.0].map(|share| quantile::of_sorted(&sorted, share).map_or(0.0, microseconds))
     }
 
     fn seconds_to_find(&self) -> Option<f64> {

@@ -1,4 +1,4 @@
-//! What is kept of a replay: the summary in memory, and files for whoever asks for them.
+//! Records a replay: the summary in memory, and the files asked for.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ impl Recorder {
     }
 
     /// Takes the answer to a scan.
-    pub fn add(&mut self, scan: &Sensed, estimate: &Estimate, app: &App) -> Result<(), RecordError> {
+    pub fn add(&mut self, scan: &Sensed, estimate: &Estimate, app: &mut App) -> Result<(), RecordError> {
         let row = MatchRow::new(estimate, app);
         let pose = self.summary.add(&row);
         if let (Some(tum), Some(path)) = (&mut self.tum, &self.files.tum) {

@@ -1,4 +1,4 @@
-//! What is kept of each answer: pose and report. CSV and summary are made of these.
+//! What is kept of each answer: pose and report. CSV and summary are made from these.
 
 use crate::app::localizer::Fix;
 use crate::app::{App, Estimate};
@@ -78,7 +78,7 @@ impl MatchRow {
 /// The answer of the particle filter to a scan.
 #[derive(Clone, Debug)]
 pub struct BeliefRow {
-    /// Where the base is on the map; `None` where the scan was of no use.
+    /// Where the base is on the map; `None` where the scan could not be used.
     pub pose: Option<Pose2>,
     /// Standard deviations of its x, y and heading, m and rad.
     deviations: [f64; 3],

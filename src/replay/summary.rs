@@ -1,4 +1,4 @@
-//! What a replay came to, for people and for machines.
+//! Summary of a replay, as text and as JSON.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -11,9 +11,9 @@ use super::row::MatchRow;
 use super::{ReplayLog, microseconds};
 use crate::app::MountSource;
 use crate::evaluation::report::Report;
-use crate::evaluation::statistics::percentile;
 use crate::evaluation::trajectory::StampedPose;
 use crate::odometry::{FailureReason, OdometryCounters};
+use crate::quantile;
 
 /// Collects the estimates of a replay.
 #[derive(Clone, Debug, Default)]
@@ -52,7 +52,7 @@ pub struct Ending {
 }
 
 impl Ending {
-    /// What the user should know, each with its remedy where there is one.
+    /// Problems worth knowing, each with its remedy where there is one.
     fn problems(&self) -> Vec<String> {
         let mut problems = self.bag_problems.clone();
         problems.extend(self.log.problems.iter().cloned());
@@ -87,7 +87,7 @@ impl Ending {
 }
 
 impl Summary {
-    /// Takes an answer; tells its pose.
+    /// Adds an answer; returns its pose.
     pub fn add(&mut self, MatchRow { pose, report }: &MatchRow) -> StampedPose {
         let pose = StampedPose { stamp: report.header.stamp.into(), pose: *pose };
         self.poses.push(pose);
@@ -134,7 +134,7 @@ impl Summary {
         }
     }
 
-    /// What the user should know, each with its remedy where there is one.
+    /// Problems worth knowing, each with its remedy where there is one.
     fn problems(&self, ending: &Ending) -> Vec<String> {
         let failures = self.failures.iter().map(|(reason, (count, first))| self.in_words(reason, *count, first));
         let elsewhere = self.outside_profile.as_ref().map(|(count, first)| {
@@ -153,7 +153,7 @@ impl Summary {
     fn times(&self) -> [f64; 3] {
         let mut sorted = self.elapsed.clone();
         sorted.sort_unstable();
-        [50, 99, 100].map(|percent| percentile(&sorted, percent).map_or(0.0, microseconds))
+        [0.5, 0.99, 1.0].map(|share| quantile::of_sorted(&sorted, share).map_or(0.0, microseconds))
     }
 
     fn mean_iterations(&self) -> f64 {

@@ -13,9 +13,9 @@ use crate::messages::std_msgs::Header;
 use crate::messages::visualization_msgs::Marker;
 use crate::odometry::{MatchedPoints, OdometryCounters, Registration};
 
-/// Variance of what a scan in the plane says nothing about: height, roll and pitch, in m^2 and rad^2.
+/// Variance of what a planar scan does not observe: height, roll and pitch, m^2 and rad^2.
 const UNOBSERVED: f64 = 1e6;
-/// Filters refuse a covariance of zero, and no estimate is that good, m^2 and rad^2.
+/// Least variance: filters reject a covariance of zero, and no estimate is that good, m^2 and rad^2.
 const LEAST_VARIANCE: f64 = 1e-9;
 
 /// What is not known at all has the variance of what is not observed.

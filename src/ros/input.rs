@@ -1,4 +1,4 @@
-//! What the scan matcher hears.
+//! Inputs of the scan matcher.
 
 use super::sink::Topic;
 use super::worker::NodeInput;

@@ -1,4 +1,4 @@
-//! What the node has to say: on stderr, and on `/rosout` once there is a master.
+//! The log of a node: on stderr, and on `/rosout` once there is a master.
 
 use std::collections::HashMap;
 use std::io::Write as _;

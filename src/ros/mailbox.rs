@@ -1,4 +1,4 @@
-//! What has been received and not yet been worked on.
+//! Messages that have been received and not yet been processed.
 
 use std::collections::VecDeque;
 use std::mem;
@@ -10,9 +10,9 @@ use super::live_params::MatchingChange;
 use super::sink::RawMessage;
 use crate::anytime::interrupt::Interrupt;
 
-/// Events that may wait: four seconds of odometry at 1 kHz. A match that takes longer loses the oldest.
+/// Capacity in events: four seconds of odometry at 1 kHz. During a longer match the oldest are lost.
 const CAPACITY: usize = 4096;
-/// Bytes that may wait with them: honest messages are small.
+/// Capacity in bytes: ordinary messages are small.
 const CAPACITY_BYTES: usize = 32 << 20;
 
 /// Anything but a scan.
@@ -37,7 +37,7 @@ impl<I> Event<I> {
     }
 }
 
-/// What there is to do: the events first, in their order of arrival, then the scan.
+/// Work to do: first the events, in their order of arrival, then the scan.
 #[derive(Debug, PartialEq)]
 pub(super) struct Work<I> {
     pub(super) events: VecDeque<Event<I>>,
@@ -50,7 +50,7 @@ impl<I> Default for Work<I> {
     }
 }
 
-/// Work for a node's one thread. Of scans only the newest is kept: an answer to an old one helps nobody. `I`: the inputs of the node.
+/// Work for the thread of a node. If several scans wait, only the newest is kept. `I`: the inputs of the node.
 pub(super) struct Mailbox<I> {
     state: Mutex<State<I>>,
     filled: Condvar,
@@ -90,7 +90,7 @@ impl<I> State<I> {
     }
 }
 
-/// Ends what can be left undone when there is another scan.
+/// Interrupts deferred work when another scan is here.
 pub(super) struct NextScan<'a, I>(pub(super) &'a Mailbox<I>);
 
 impl<I: Send> Interrupt for NextScan<'_, I> {
@@ -99,10 +99,10 @@ impl<I: Send> Interrupt for NextScan<'_, I> {
     }
 }
 
-/// What was lost.
+/// Messages that were lost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Dropped {
-    /// Scans that newer ones took the place of, or that were lost on their way here.
+    /// Scans replaced by newer ones, or lost on their way.
     pub(super) scans: u64,
     /// Other messages.
     pub(super) events: u64,
@@ -129,7 +129,7 @@ impl<I> Mailbox<I> {
         self.filled.notify_one();
     }
 
-    /// Counts scans that never came.
+    /// Counts scans that were lost on their way.
     pub(super) fn count_lost_scans(&self, count: u64) {
         self.lock().dropped.scans += count;
     }
@@ -180,7 +180,7 @@ impl<I> Mailbox<I> {
         self.filled.notify_all();
     }
 
-    /// The state is whole at every moment, even if a thread should have died with the lock in its hand.
+    /// The state is consistent at every moment, even if a thread has panicked while it held the lock.
     fn lock(&self) -> MutexGuard<'_, State<I>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

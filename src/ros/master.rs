@@ -48,8 +48,8 @@ pub(super) fn resolved(ros: &Ros, name: &str) -> Result<String, NodeError> {
 
 /// An entry in the registry of the master.
 pub(super) enum MasterRegistration {
-    Publisher { topic: &'static str, message_type: String },
-    Subscriber { topic: &'static str, message_type: String },
+    Publisher { topic: &'static str, message_type: &'static str },
+    Subscriber { topic: &'static str, message_type: &'static str },
     Service { name: &'static str, uri: String },
 }
 
@@ -97,7 +97,7 @@ pub(super) struct MasterLink<'a> {
 }
 
 impl<'a> MasterLink<'a> {
-    /// A node that is registered under these registrations. Its sockets are as they shall be from now on.
+    /// A node with these registrations. Sets the options of its sockets.
     pub(super) fn new(
         ros: &'a Ros,
         master: &'a Master,
@@ -110,7 +110,7 @@ impl<'a> MasterLink<'a> {
         Ok(link)
     }
 
-    /// From now on it has this registration too.
+    /// Adds a registration.
     pub(super) fn add(&mut self, registration: MasterRegistration) {
         if let Ok(Some(port)) = registration.port(self.ros) {
             sockets::tune(&HashSet::from([port]));

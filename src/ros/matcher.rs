@@ -90,7 +90,7 @@ impl Matcher {
                 self.app.store_costs().map(|()| done).map_err(|error| error.to_string())
             }
         };
-        let _ = self.replies.send(outcome); // nobody waits any more when the node is ending
+        let _ = self.replies.send(outcome); // fails only while the node is ending
     }
 
     fn apply(&mut self, change: MatchingChange) {

@@ -70,10 +70,10 @@ pub enum NodeError {
         /// Which one, and what would be right.
         problem: ConfigError,
     },
-    /// The contract among the parameters is none.
+    /// The parameters give an invalid contract.
     #[error(transparent)]
     Contract(#[from] ContractError),
-    /// A file that the configuration names is of no use.
+    /// A file that the configuration names is unusable.
     #[error(transparent)]
     Start(#[from] StartError),
     /// The shared memory cannot be had.

@@ -73,6 +73,6 @@ impl<T: Message> Output<T> {
 
     /// How it is registered with the master.
     pub(super) fn registration(&self) -> MasterRegistration {
-        MasterRegistration::Publisher { topic: self.topic, message_type: T::TYPE.into() }
+        MasterRegistration::Publisher { topic: self.topic, message_type: T::TYPE }
     }
 }

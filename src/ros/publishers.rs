@@ -1,4 +1,4 @@
-//! What the node says.
+//! Outputs of the node.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -81,7 +81,7 @@ impl Publishers {
         &self.transform
     }
 
-    /// What the controller waits for: the pose, and the edge that says it is there.
+    /// What the controller waits for: the pose, and the edge that signals it.
     pub(super) fn publish_pose(&mut self, answer: &Answer) {
         self.pose.send(|| answer.pose_stamped());
         if let Some(compat) = &self.compat {

@@ -117,7 +117,7 @@ pub(super) fn save_profile<I: Send + 'static>(
     let replies = Mutex::new(replies);
     let save = move || {
         let replies = replies.lock().unwrap_or_else(PoisonError::into_inner);
-        while replies.try_recv().is_ok() {} // those that nobody waited for
+        while replies.try_recv().is_ok() {} // late replies to earlier calls
         mailbox.put_event(Event::SaveProfile);
         replies.recv_timeout(TIMEOUT).unwrap_or_else(|_| Err("the matching is too busy: try again".into()))
     };

@@ -26,7 +26,7 @@ pub(super) struct Topic {
     pub(super) name: &'static str,
     pub(super) message_type: &'static str,
     md5: &'static str,
-    /// The node lives on it: while nobody publishes it, it is looked for more often.
+    /// The node needs it: while it has no publisher, the master is polled more often.
     pub(super) is_vital: bool,
 }
 
@@ -41,7 +41,7 @@ impl Topic {
 
     /// How it is registered with the master.
     pub(super) fn registration(self) -> MasterRegistration {
-        MasterRegistration::Subscriber { topic: self.name, message_type: self.message_type.into() }
+        MasterRegistration::Subscriber { topic: self.name, message_type: self.message_type }
     }
 }
 

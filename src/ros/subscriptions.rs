@@ -1,4 +1,4 @@
-//! Everything that a node hears: its subscriptions, and who publishes them.
+//! The subscriptions of a node, and who publishes them.
 //!
 //! rosrust's own subscribers take as much memory as a message announces, stand still when a publisher does not send its header, and
 //! never return to one whose connection broke. So the connections are made here. rosrust answers for the node to the master and to
@@ -21,10 +21,10 @@ use super::sink::{RawMessage, Sink, Topic};
 use super::topic_subscription::TopicSubscription;
 use crate::anytime::clock::Clock;
 
-/// Time between two questions to the master who publishes, while there is nobody to hear from or somebody has just come or gone:
+/// Time between two polls of the master for publishers, while a needed topic has none or publishers have just changed:
 /// `rosbag play` gives its subscribers 200 ms to come.
 const PERIOD: Duration = Duration::from_millis(50);
-/// The same while everything is as it was: a question costs the machine a few milliseconds, which the answers to the scans would wait for.
+/// The same while nothing changes: a poll costs a few milliseconds, which would delay the answers to scans.
 const CALM_PERIOD: Duration = Duration::from_secs(1);
 /// Who publishes several topics makes them known one after the other, and a launch file starts many nodes.
 const SETTLING: Duration = Duration::from_secs(2);
@@ -132,7 +132,7 @@ impl Shared {
         }
     }
 
-    /// Answers whether somebody has come or gone.
+    /// Returns whether publishers have changed.
     fn update(&self, state: &SystemState) -> bool {
         let mut has_changed = false;
         for subscription in self.subscriptions().iter() {
@@ -142,7 +142,7 @@ impl Shared {
         has_changed
     }
 
-    /// Warns of topics on which nothing comes, and says where it may come instead.
+    /// Warns of topics without messages, and lists other topics of the same type.
     fn tell_silence(&self) {
         let subscriptions: Vec<Arc<TopicSubscription>> = self.subscriptions().iter().cloned().collect();
         for subscription in subscriptions {

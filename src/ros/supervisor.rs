@@ -52,7 +52,7 @@ impl<'a, I> Supervisor<'a, I> {
         let mut registrations = std::mem::take(&mut parts.registrations);
         registrations.extend([
             parts.diagnostics.registration(),
-            MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() },
+            MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log" },
         ]);
         for service in &parts.services {
             registrations.push(service.registration(ros)?);
@@ -61,8 +61,8 @@ impl<'a, I> Supervisor<'a, I> {
         Ok(Self { ros, parts, master })
     }
 
-    /// Once a second: the master, what else there is to `care` for while it answers, and the diagnostics. Until somebody wants the node
-    /// to stop.
+    /// Once a second: the master, what else there is to `care` for while it answers, and the diagnostics. Runs until it is told to
+    /// stop.
     pub(super) fn run(mut self, stop: &StopSignal, mut care: impl FnMut(&mut MasterLink)) {
         let parts = &mut self.parts;
         let mut last = parts.clock.now();

@@ -34,7 +34,7 @@ pub(super) enum LinkError {
     Unreachable(String),
     #[error("{0}")]
     Socket(#[from] io::Error),
-    #[error("its header is none ({0})")]
+    #[error("malformed header ({0})")]
     BadHeader(&'static str),
     #[error("it refuses: {0}")]
     Refused(String),

@@ -37,7 +37,7 @@ pub(super) struct TopicSubscription {
     silence: Mutex<Silence>,
 }
 
-/// How long nothing has been heard.
+/// How long there have been no messages.
 #[derive(Default)]
 struct Silence {
     /// Reading of the clock when the last message came, or other publishers.
@@ -53,7 +53,7 @@ impl Silence {
         *self = Self { since: now, has_heard: self.has_heard || has_heard, is_told: false };
     }
 
-    /// Whether it has become too long; answered once. A publisher that was heard and has gone has ended: there is nothing to be told.
+    /// Whether it has become too long; true once. A publisher that sent messages and has gone has ended: no warning.
     fn becomes_too_long(&mut self, now: Duration, is_published: bool) -> bool {
         let too_long = now.saturating_sub(self.since) >= SILENCE && (is_published || !self.has_heard);
         too_long && !std::mem::replace(&mut self.is_told, true)
@@ -95,12 +95,12 @@ impl TopicSubscription {
         lock(&self.publishers).heard.iter().cloned().collect()
     }
 
-    /// Whether there is nobody to hear from of what the node lives on.
+    /// Whether it is a needed topic without a publisher.
     pub(super) fn is_missed(&self) -> bool {
         self.is_vital && self.open.load(Ordering::Relaxed) == 0
     }
 
-    /// Of a topic that the node lives on: its publishers, when it has just become clear that they send nothing.
+    /// Of a needed topic: its publishers, when they have sent nothing for too long.
     pub(super) fn falls_silent(&self) -> Option<Vec<String>> {
         let mut publishers: Vec<String> = lock(&self.publishers).wanted.iter().cloned().collect();
         publishers.sort_unstable();
@@ -108,7 +108,7 @@ impl TopicSubscription {
         is_silent.then_some(publishers)
     }
 
-    /// Takes the master's word for who publishes: links to those that are new. Answers whether these are others than before.
+    /// Takes the publishers that the master knows, and connects to the new ones. Returns whether they have changed.
     pub(super) fn set_publishers(self: &Arc<Self>, mut names: HashSet<String>) -> bool {
         names.remove(&self.node);
         let mut publishers = lock(&self.publishers);
@@ -131,7 +131,7 @@ impl TopicSubscription {
         has_changed
     }
 
-    /// Subscriptions to `publisher`, again and again, for as long as it is wanted.
+    /// Connects to `publisher`, again and again, as long as it is wanted.
     fn follow(&self, publisher: &str) {
         let (mut throttle, mut told) = (Throttle::default(), None);
         loop {
@@ -149,7 +149,7 @@ impl TopicSubscription {
         }
     }
 
-    /// Hears `publisher` to the end: the number of messages, and what ended it.
+    /// Receives from `publisher` until the connection ends: the number of messages, and what ended it.
     fn link(&self, publisher: &str) -> (u64, LinkError) {
         let mut messages = 0;
         let problem = match self.receive(publisher, &mut messages) {
@@ -192,7 +192,7 @@ impl TopicSubscription {
         }
     }
 
-    /// Gives the thread of a publisher up that nobody wants any more.
+    /// Whether the thread of a publisher ends, as it is no longer wanted.
     fn is_done_with(&self, publisher: &str) -> bool {
         let mut publishers = lock(&self.publishers);
         let done = !publishers.wanted.contains(publisher);
@@ -203,7 +203,7 @@ impl TopicSubscription {
     }
 }
 
-/// What is locked here is whole at every moment, even if a thread should have died with the lock in its hand.
+/// What is locked here is consistent at every moment, even if a thread has panicked while it held the lock.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

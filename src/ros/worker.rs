@@ -24,12 +24,12 @@ use crate::transforms::Mount;
 /// Transforms may come a little later than the first scans do.
 const MOUNT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// What becomes of a message.
+/// How a message is handled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// It is answered, unless a newer one takes its place.
+    /// It is answered, unless a newer one replaces it.
     Scan,
-    /// It calls for the answer.
+    /// It asks for the answer now.
     Interrupt,
     /// It is taken into account, in the order of arrival.
     Event,
@@ -149,7 +149,7 @@ impl<I> Desk<I> {
 
 /// The algorithm of a node.
 pub(super) trait Estimator {
-    /// What it hears.
+    /// Its inputs.
     type Input: NodeInput;
     /// Whether a scan is to wake the thread at once, before all programs of normal priority; else what came with it is heard first.
     const WAKES_AT_ONCE: bool;

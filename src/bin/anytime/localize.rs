@@ -27,7 +27,7 @@ use crate::knob_flags::value;
 use crate::outcome::{shown, usage};
 use crate::progress;
 
-/// Find the robot of a bag on a map, by a particle filter
+/// Localize the robot of a bag on a map with a particle filter
 #[derive(Args)]
 pub(crate) struct Arguments {
     bag: PathBuf,
@@ -37,7 +37,7 @@ pub(crate) struct Arguments {
     /// Number of particles [default: `localization.particles`]
     #[arg(long)]
     particles: Option<u32>,
-    /// Nothing is known of where the robot starts
+    /// The initial pose is unknown: global localization
     #[arg(long, conflicts_with = "initial_pose")]
     global: bool,
     /// Where the robot starts, m and rad [default: `localization.initial_pose`; else the first true pose; else the origin of the map]
@@ -49,7 +49,7 @@ pub(crate) struct Arguments {
     /// Write the pose of every scan; `anytime profile` takes it for a truth
     #[arg(long, value_name = "OUT.tum")]
     tum: Option<PathBuf>,
-    /// Write a line of figures for every scan
+    /// Write a row of CSV for every scan
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
     /// Print one JSON object
@@ -102,7 +102,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         let pose = match answer {
             Answer::Fix(fix) => {
                 let row = BeliefRow::new(fix, &config.frames.map_frame);
-                // A scan that was of no use has no row.
+                // A scan that could not be used has no row.
                 if let (Some(csv), Some(_)) = (&mut csv, row.pose) {
                     csv.write(&row).context("cannot write the CSV file")?;
                 }

@@ -34,7 +34,7 @@ const TICK: Duration = Duration::from_millis(100);
 /// How often it looks after the master.
 const MASTER_PERIOD: Duration = Duration::from_secs(1);
 
-/// What it hears.
+/// Its inputs.
 #[derive(Clone, Copy, Debug)]
 enum Input {
     Odometry,
@@ -62,7 +62,7 @@ pub(super) struct Controller<'a> {
     contracts: Output<own::Contract>,
     asking: Asking,
     schedule: Schedule,
-    /// As last heard, m/s.
+    /// Of the last message, m/s.
     speed: f64,
     adherence: Adherence,
     csv: Option<CsvFile<File, Row>>,
@@ -87,7 +87,7 @@ impl<'a> Controller<'a> {
         let mut registrations: Vec<MasterRegistration> = Input::ALL.map(|input| input.topic().registration()).into();
         registrations.extend([
             contracts.registration(),
-            MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() },
+            MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log" },
         ]);
         let master = MasterLink::new(ros, master, registrations, &log)?;
         log.info(&in_words);
@@ -110,7 +110,7 @@ impl<'a> Controller<'a> {
         })
     }
 
-    /// Until somebody wants it to stop.
+    /// Runs until it is told to stop.
     pub(super) fn run(mut self, stop: &StopSignal) {
         let (mut looked, mut logged) = (self.clock.now(), self.clock.now());
         while !stop.wait(Duration::ZERO) && self.ros.is_ok() {

@@ -8,7 +8,7 @@ use crate::anytime::contract::Contract;
 const SAME: f64 = 0.05;
 /// Contracts are at least this far apart.
 const MIN_PERIOD: Duration = Duration::from_millis(100);
-/// Reports that still name another contract after this time: ours was lost, or somebody else's came after it.
+/// If reports still show another contract after this time, ours was lost, or another node's came after it: it is sent again.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Keeps the matcher's contract near the one that is wanted, with few messages.

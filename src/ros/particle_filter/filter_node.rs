@@ -82,7 +82,7 @@ impl FilterNode {
                 desk.monitor.set_condition(NO_MAP, false);
                 desk.log.info(&format!("has a map of {size}"));
             }
-            Err(error) => desk.log.error(&format!("the map of {size} is of no use: {error}")),
+            Err(error) => desk.log.error(&format!("the map of {size} is unusable: {error}")),
         }
     }
 
@@ -128,7 +128,7 @@ impl FilterNode {
         }
     }
 
-    /// Hands a message on; before there is a map, nobody needs it.
+    /// Hands a message on; before there is a map it is not needed.
     fn tell<T: Message>(
         &mut self,
         input: Input,

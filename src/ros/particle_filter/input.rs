@@ -1,4 +1,4 @@
-//! What the node hears.
+//! Inputs of the node.
 
 use crate::config::Config;
 use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};

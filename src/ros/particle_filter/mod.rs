@@ -86,7 +86,7 @@ fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input
     Ok(Parts { clock, mailbox, monitor, diagnostics, worker, subscriptions, services, registrations })
 }
 
-/// The map of the file that the configuration names. One that is of no use is told: the map may still come on the topic.
+/// The map of the file that the configuration names. An unusable one is logged only: the map may still come on the topic.
 fn read_map_file(config: &Config, log: &Log) -> Option<OccupancyGrid> {
     let path = config.localization.map.as_deref()?;
     let map = map_file::read(Path::new(path));

@@ -1,4 +1,4 @@
-//! What the node says.
+//! Outputs of the node.
 
 use rosrust::api::Ros;
 

@@ -1,4 +1,4 @@
-//! What the follower hears, made its own: paths and scans in the right frames, poses, and ways to goals.
+//! Inputs of the follower: paths and scans in the right frames, poses, and planned paths to goals.
 
 use std::sync::Arc;
 
@@ -40,7 +40,7 @@ pub(super) struct Intake {
     world: Option<Arc<GridWorld>>,
     /// The way round the map, until it is known which way the car looks.
     round: Option<Vec<Waypoint>>,
-    /// Where the car was when last heard of.
+    /// Last known pose of the car.
     pose: Option<Pose2>,
 }
 

@@ -41,7 +41,7 @@ const MASTER_PERIOD: Duration = Duration::from_secs(1);
 /// From one picture of the path to the next.
 const MARKER_PERIOD: Duration = Duration::from_millis(200);
 
-/// What it hears.
+/// Its inputs.
 #[derive(Clone, Copy, Debug)]
 enum Input {
     Path,
@@ -71,7 +71,7 @@ impl Input {
     }
 }
 
-/// What it says.
+/// Its outputs.
 struct Publishers {
     drive: Output<AckermannDriveStamped>,
     report: Output<FollowerReport>,
@@ -128,7 +128,7 @@ impl<'a> Node<'a> {
         registrations.extend(publishers.registrations());
         registrations.extend([
             resume.registration(ros)?,
-            MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() },
+            MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log" },
         ]);
         let master = MasterLink::new(ros, master, registrations, &log)?;
         let (now, reader) = (clock.now(), Reader::new(&clock, &log));
@@ -167,7 +167,7 @@ impl<'a> Node<'a> {
         })
     }
 
-    /// Until somebody wants it to stop. The last command is to stand.
+    /// Runs until it is told to stop. The last command is to stand.
     pub(super) fn run(mut self, stop: &StopSignal) {
         let mut looks = Timer::new(MASTER_PERIOD, self.clock.now());
         while !stop.wait(Duration::ZERO) && self.ros.is_ok() {
@@ -256,7 +256,7 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// Says what to do; nothing on `drive` before there was a path: somebody else may be at the wheel.
+    /// Publishes a command; nothing on `drive` before there was a path: another node may be in control.
     fn command(&mut self, time: Duration) {
         let now = self.now();
         let step = self.intake.follower.command(now);

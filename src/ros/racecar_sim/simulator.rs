@@ -43,7 +43,7 @@ const MASTER_CHECKS: Duration = Duration::from_secs(1);
 /// Slower than this a car that is told a yaw rate cannot turn, m/s.
 const LEAST_TURNING_SPEED: f64 = 1e-3;
 
-/// What it hears.
+/// Its inputs.
 #[derive(Clone, Copy, Debug)]
 enum Input {
     Drive,
@@ -65,7 +65,7 @@ impl Input {
     }
 }
 
-/// What it says.
+/// Its outputs.
 struct Publishers {
     scan: Output<LaserScan>,
     odometry: Output<Odometry>,
@@ -108,7 +108,7 @@ pub(super) struct Simulator<'a> {
     /// Numbers of the last pose and scan, for the headers.
     numbers: (u32, u32),
     reader: Reader,
-    // Dropping it ends what it hears.
+    // Dropping it ends the subscriptions.
     _subscriptions: Subscriptions<'a>,
 }
 
@@ -131,7 +131,7 @@ impl<'a> Simulator<'a> {
         }
         let mut registrations: Vec<MasterRegistration> = Input::ALL.map(|input| input.topic().registration()).into();
         registrations.extend(publishers.registrations());
-        registrations.push(MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() });
+        registrations.push(MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log" });
         let master = MasterLink::new(ros, master, registrations, &log)?;
         let RacecarSimKnobs { world, rate, scan_rate, wheelbase, seed, .. } = knobs;
         log.info(&format!("simulates a racecar in {world}: poses at {rate} Hz, scans at {scan_rate} Hz"));
@@ -159,7 +159,7 @@ impl<'a> Simulator<'a> {
         })
     }
 
-    /// Until somebody wants it to stop.
+    /// Runs until it is told to stop.
     pub(super) fn run(mut self, stop: &StopSignal) {
         let mut time = self.clock.now();
         let mut looks = Timer::new(MASTER_CHECKS, time);
@@ -170,7 +170,7 @@ impl<'a> Simulator<'a> {
             if looks.is_due(now) {
                 self.master.check();
             }
-            // However rarely it says something, the car drives on.
+            // The car drives on, however rarely something is published.
             let rest = self.rest(self.clock.now()).min(LONGEST_LAG / 2);
             if let Ok((input, raw)) = self.received.recv_timeout(rest) {
                 self.handle(input, &raw);

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use crate::common::{corridor, shared};
 use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock};
 use anytime_scan_matcher::anytime::interrupt::{Never, Request};
+use anytime_scan_matcher::app::Answering as _;
 use anytime_scan_matcher::app::localizer::{Localizer, NoEvidence};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
