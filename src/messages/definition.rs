@@ -108,7 +108,7 @@ macro_rules! messages {
 
         /// Name and fields of each type as they are here, to be held against its text.
         #[cfg(test)]
-        pub(super) const FIELDS: &[(&str, &[(&str, &str)])] = &[$((
+        pub(super) const FIELDS: &[super::Fields] = &[$((
             concat!($package, "/", stringify!($name)),
             &[$((stringify!($kind), stringify!($field))),*],
         )),*];

@@ -34,9 +34,13 @@ const TYPES: &[&[(&str, &str)]] = &[
     visualization_msgs::TYPES,
 ];
 
-/// Their fields.
+/// Name of a type, and of each field type and name.
 #[cfg(test)]
-const FIELDS: &[&[(&str, &[(&str, &str)])]] = &[
+type Fields = (&'static str, &'static [(&'static str, &'static str)]);
+
+/// The fields of every type, by package.
+#[cfg(test)]
+const FIELDS: &[&[Fields]] = &[
     ackermann_msgs::FIELDS,
     diagnostic_msgs::FIELDS,
     geometry_msgs::FIELDS,

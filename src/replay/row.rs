@@ -2,7 +2,7 @@
 
 use crate::app::localizer::Fix;
 use crate::app::{App, Estimate};
-use crate::geometry::Pose2;
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::io::csv_file::{Column, microseconds};
 use crate::messages::Duration;
 use crate::messages::own::{FilterReport, MatchReport};
@@ -80,8 +80,8 @@ impl MatchRow {
 pub struct BeliefRow {
     /// Where the base is on the map; `None` where the scan could not be used.
     pub pose: Option<Pose2>,
-    /// Standard deviations of its x, y and heading, m and rad.
-    deviations: [f64; 3],
+    /// Covariance of that pose.
+    pub covariance: PoseCovariance,
     /// How that is known.
     pub report: FilterReport,
 }
@@ -92,7 +92,7 @@ impl BeliefRow {
         let belief = fix.belief.as_ref().ok();
         Self {
             pose: belief.map(|belief| belief.map_from_base),
-            deviations: [0, 1, 2].map(|i| belief.map_or(f64::NAN, |belief| belief.covariance[(i, i)].max(0.0).sqrt())),
+            covariance: belief.map_or_else(PoseCovariance::zeros, |belief| belief.covariance),
             report: fix.report(Header::new(0, fix.stamp, map_frame), 0),
         }
     }
@@ -103,9 +103,9 @@ impl BeliefRow {
         ("x_m", |row| row.place(|pose| pose.x)),
         ("y_m", |row| row.place(|pose| pose.y)),
         ("theta_rad", |row| row.place(|pose| pose.theta)),
-        ("sigma_x_m", |row| format!("{:.6}", row.deviations[0])),
-        ("sigma_y_m", |row| format!("{:.6}", row.deviations[1])),
-        ("sigma_theta_rad", |row| format!("{:.6}", row.deviations[2])),
+        ("sigma_x_m", |row| row.deviation(0)),
+        ("sigma_y_m", |row| row.deviation(1)),
+        ("sigma_theta_rad", |row| row.deviation(2)),
         ("localized", |row| row.report.localized.to_string()),
         ("share", |row| format!("{:.4}", row.report.share)),
         ("particles", |row| row.report.particles.to_string()),
@@ -116,6 +116,10 @@ impl BeliefRow {
         ("stop_reason", |row| row.report.stop_reason.clone()),
         ("elapsed_us", |row| microseconds(row.report.elapsed)),
     ];
+
+    fn deviation(&self, i: usize) -> String {
+        format!("{:.6}", self.covariance[(i, i)].max(0.0).sqrt())
+    }
 
     fn place(&self, coordinate: fn(&Pose2) -> f64) -> String {
         self.pose.as_ref().map_or_else(String::new, |pose| format!("{:.9}", coordinate(pose)))

@@ -31,15 +31,15 @@ pub(super) fn transform(header: Header, child: &str, parent_from_child: Pose2) -
     TransformStamped { header, child_frame_id: child.into(), transform: parent_from_child.into() }
 }
 
-/// One estimate on its way out.
-pub(super) struct Answer<'a> {
+/// An estimate with what the headers of its messages need.
+pub(super) struct Outgoing<'a> {
     pub(super) estimate: &'a Estimate,
     /// Number of the estimate, for the headers.
     pub(super) number: u32,
     pub(super) frames: &'a FrameKnobs,
 }
 
-impl Answer<'_> {
+impl Outgoing<'_> {
     fn header(&self, frame: &str) -> Header {
         Header::new(self.number, self.estimate.stamp, frame)
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use rosrust::api::{Master, Ros};
 
 use super::NodeError;
-use super::log::{Log, print};
+use super::log::{self, Log, print};
 use super::node_api;
 use super::shutdown::StopSignal;
 use super::sockets;
@@ -54,6 +54,9 @@ pub(super) enum MasterRegistration {
 }
 
 impl MasterRegistration {
+    /// That of every node's log.
+    pub(super) const ROSOUT: Self = Self::Publisher { topic: log::ROSOUT, message_type: "rosgraph_msgs/Log" };
+
     /// Of a service that has been offered; rosrust does not say where, but it has told the master.
     pub(super) fn of_service(ros: &Ros, name: &'static str) -> Result<Self, NodeError> {
         let uri = connect(ros.name(), ros.uri())?.lookup_service(&resolved(ros, name)?);

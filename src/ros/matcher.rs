@@ -3,7 +3,7 @@
 use std::sync::mpsc::Sender;
 use std::time::Duration;
 
-use super::convert::Answer;
+use super::convert::Outgoing;
 use super::diagnostics::{IMU_DISBELIEVED, ODOMETRY_DISBELIEVED, OUTSIDE_PROFILE, TRANSFORM_WITHHELD};
 use super::input::Input;
 use super::live_params::MatchingChange;
@@ -159,13 +159,13 @@ impl Estimator for Matcher {
             if let Some(map) = map {
                 map.place(estimate);
             }
-            publishers.publish_pose(&Answer { estimate, number: number(app), frames: &app.config().frames });
+            publishers.publish_pose(&Outgoing { estimate, number: number(app), frames: &app.config().frames });
         });
         let (app, estimate) = answered.parts();
         desk.interrupts.publish(estimate);
         desk.urgency.set(false);
         let_writers_go_first();
-        let (now, answer) = (desk.clock.now(), Answer { estimate, number: number(app), frames: &app.config().frames });
+        let (now, answer) = (desk.clock.now(), Outgoing { estimate, number: number(app), frames: &app.config().frames });
         publishers.publish_details(&answer, app.odometry_counters(), desk.mailbox.dropped().scans);
         publishers.publish_display(&answer, app.matched_points(), now);
         let_writers_go_first();

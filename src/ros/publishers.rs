@@ -7,7 +7,7 @@ use rosrust::api::Ros;
 
 use super::NodeError;
 use super::compat::{Face, PoseOutputs};
-use super::convert::Answer;
+use super::convert::Outgoing;
 use super::master::MasterRegistration;
 use super::output::Output;
 use super::path::PathHistory;
@@ -82,7 +82,7 @@ impl Publishers {
     }
 
     /// What the controller waits for: the pose, and the edge that signals it.
-    pub(super) fn publish_pose(&mut self, answer: &Answer) {
+    pub(super) fn publish_pose(&mut self, answer: &Outgoing) {
         self.pose.send(|| answer.pose_stamped());
         if let Some(compat) = &self.compat {
             compat.publish(answer);
@@ -92,14 +92,14 @@ impl Publishers {
     }
 
     /// Everything else. The counts go into the report.
-    pub(super) fn publish_details(&mut self, answer: &Answer, counters: &OdometryCounters, dropped: u64) {
+    pub(super) fn publish_details(&mut self, answer: &Outgoing, counters: &OdometryCounters, dropped: u64) {
         self.publish_transform(answer);
         self.odometry.send(|| answer.odometry());
         self.report.send(|| answer.report(counters, dropped));
     }
 
     /// tf does not want a stamp twice, and a transform of the past would only say what an answer out of order repeats.
-    fn publish_transform(&mut self, answer: &Answer) {
+    fn publish_transform(&mut self, answer: &Outgoing) {
         let (stamp, outcome) = (answer.estimate.stamp, &answer.estimate.registration.outcome);
         if *outcome == Outcome::First || self.last_transform.is_none_or(|last| stamp > last) {
             self.last_transform = Some(stamp);
@@ -108,7 +108,7 @@ impl Publishers {
     }
 
     /// What people look at.
-    pub(super) fn publish_display(&mut self, answer: &Answer, matched_points: Option<&MatchedPoints>, now: Duration) {
+    pub(super) fn publish_display(&mut self, answer: &Outgoing, matched_points: Option<&MatchedPoints>, now: Duration) {
         let registration = &answer.estimate.registration;
         if registration.outcome == Outcome::First {
             self.history.clear();

@@ -8,7 +8,7 @@ use rosrust::api::{Master, Ros};
 
 use super::NodeError;
 use super::diagnostics::{self, Diagnostics, Monitor};
-use super::log::{Log, ROSOUT};
+use super::log::Log;
 use super::mailbox::Mailbox;
 use super::master::{MasterLink, MasterRegistration};
 use super::services::Service;
@@ -50,10 +50,7 @@ impl<'a, I> Supervisor<'a, I> {
     /// Knows how the node is registered with the master.
     pub(super) fn new(ros: &'a Ros, master: &'a Master, mut parts: Parts<'a, I>, log: &Log) -> Result<Self, NodeError> {
         let mut registrations = std::mem::take(&mut parts.registrations);
-        registrations.extend([
-            parts.diagnostics.registration(),
-            MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log" },
-        ]);
+        registrations.extend([parts.diagnostics.registration(), MasterRegistration::ROSOUT]);
         for service in &parts.services {
             registrations.push(service.registration(ros)?);
         }

@@ -16,8 +16,10 @@ const NUMBERS: [&str; 13] =
 
 type Definitions<'a> = &'a [(&'static str, &'static str)];
 
+type Topic = (&'static str, fn() -> &'static Definition);
+
 /// The messages of the layout's topics.
-const TOPICS: [(&str, fn() -> &'static Definition); 6] = [
+const TOPICS: [Topic; 6] = [
     ("/icp_report", MatchReport::definition),
     ("/scan_match_location", PoseStamped::definition),
     ("/gt_pose", PoseStamped::definition),
@@ -67,7 +69,7 @@ fn is_number(definitions: Definitions, path: &str) -> bool {
 }
 
 fn is_drawn(curve: &str) -> bool {
-    let of_topic = |(topic, definition): &(&str, fn() -> &'static Definition)| {
+    let of_topic = |(topic, definition): &Topic| {
         curve.strip_prefix(topic).and_then(|rest| rest.strip_prefix('/')).is_some_and(|path| is_number(&definition().parts, path))
     };
     TOPICS.iter().any(of_topic)

@@ -68,13 +68,7 @@ fn pose(text: &str) -> Result<Pose2, String> {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
-    let mut config = arguments.input.configuration.load()?;
-    if let Some(particles) = arguments.particles {
-        config.set("localization.particles", &particles.into(), "--particles")?;
-    }
-    if let Some(budget) = &arguments.time_budget {
-        config.set("contract.time_budget", budget, "--time-budget")?;
-    }
+    let mut config = configuration(arguments)?;
     let map = arguments.map.clone().or(config.localization.map.as_ref().map(PathBuf::from));
     let map = map.ok_or_else(|| usage("there is no map: --map M.yaml, or the parameter localization.map"))?;
     files(arguments, &config).check()?;
@@ -92,43 +86,17 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         let start = arguments.initial_pose.or(config.localization.initial_pose).or(first_truth);
         localizer.start_at(&start.unwrap_or_default(), None);
     }
-    let mut tum = arguments.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
-    let csv = arguments.csv.as_deref().map(create).transpose()?;
-    let mut csv = csv.map(|file| CsvFile::new(file, BeliefRow::COLUMNS)).transpose()?;
+    let mut records = Records::create(arguments, &config.frames.map_frame)?;
     let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
-    let mut summary = LocalizationSummary::default();
     let tick = || progress.inc(1);
-    let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &*clock, tick, |answer, _| {
-        let pose = match answer {
-            Answer::Fix(fix) => {
-                let row = BeliefRow::new(fix, &config.frames.map_frame);
-                // A scan that could not be used has no row.
-                if let (Some(csv), Some(_)) = (&mut csv, row.pose) {
-                    csv.write(&row).context("cannot write the CSV file")?;
-                }
-                summary.add(&row)
-            }
-            &Answer::Between { stamp, map_from_base } => {
-                summary.pass_over();
-                Some(StampedPose { stamp, pose: map_from_base })
-            }
-        };
-        if let (Some(pose), Some(tum)) = (pose, &mut tum) {
-            tum.write(&pose).context("cannot write the trajectory")?;
-        }
-        Ok(())
-    })?;
+    let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &*clock, tick, |answer, _| records.add(answer))?;
     progress.finish_and_clear();
-    if summary.poses().is_empty() {
-        let why = if summary.unused().is_empty() { log.reasons(&bag) } else { format!(": {}", summary.unused()) };
+    if records.summary.poses().is_empty() {
+        let unused = records.summary.unused();
+        let why = if unused.is_empty() { log.reasons(&bag) } else { format!(": {unused}") };
         bail!("{}: no scan on {} could be used{why}", arguments.bag.display(), topics.scan);
     }
-    if let Some(tum) = tum {
-        tum.into_sink().commit().context("cannot write the trajectory")?;
-    }
-    if let Some(csv) = csv {
-        csv.into_sink().and_then(|mut file| file.commit()).context("cannot write the CSV file")?;
-    }
+    let summary = records.finish()?;
     let localized = Some(summary.localized()).filter(|poses| !poses.is_empty());
     let trajectory = localized.map(|poses| Trajectory::new(poses.to_vec())).transpose()?;
     let matched = trajectory.zip(truth).map(|(trajectory, truth)| associate(&trajectory, &truth, Comparison::default().max_dt));
@@ -142,6 +110,67 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         || summary.to_text(errors.as_ref(), &problems),
     );
     shown(text, summary.failure())
+}
+
+/// The parameters, with what the flags set.
+fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
+    let mut config = arguments.input.configuration.load()?;
+    if let Some(particles) = arguments.particles {
+        config.set("localization.particles", &particles.into(), "--particles")?;
+    }
+    if let Some(budget) = &arguments.time_budget {
+        config.set("contract.time_budget", budget, "--time-budget")?;
+    }
+    Ok(config)
+}
+
+/// The summary, and the files asked for.
+struct Records {
+    map_frame: String,
+    tum: Option<TumWriter<OutputFile>>,
+    csv: Option<CsvFile<OutputFile, BeliefRow>>,
+    summary: LocalizationSummary,
+}
+
+impl Records {
+    fn create(arguments: &Arguments, map_frame: &str) -> anyhow::Result<Self> {
+        let tum = arguments.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
+        let csv = arguments.csv.as_deref().map(create).transpose()?;
+        let csv = csv.map(|file| CsvFile::new(file, BeliefRow::COLUMNS)).transpose()?;
+        Ok(Self { map_frame: map_frame.into(), tum, csv, summary: LocalizationSummary::default() })
+    }
+
+    fn add(&mut self, answer: &Answer) -> anyhow::Result<()> {
+        let pose = match answer {
+            Answer::Fix(fix) => {
+                let row = BeliefRow::new(fix, &self.map_frame);
+                // A scan that could not be used has no row.
+                if let (Some(csv), Some(_)) = (&mut self.csv, row.pose) {
+                    csv.write(&row).context("cannot write the CSV file")?;
+                }
+                self.summary.add(&row)
+            }
+            &Answer::Between { stamp, map_from_base } => {
+                self.summary.pass_over();
+                Some(StampedPose { stamp, pose: map_from_base })
+            }
+        };
+        if let (Some(pose), Some(tum)) = (pose, &mut self.tum) {
+            tum.write(&pose).context("cannot write the trajectory")?;
+        }
+        Ok(())
+    }
+
+    /// Puts the files in their places.
+    fn finish(self) -> anyhow::Result<LocalizationSummary> {
+        if let Some(tum) = self.tum {
+            tum.into_sink().commit().context("cannot write the trajectory")?;
+        }
+        if let Some(csv) = self.csv {
+            csv.into_sink().and_then(|mut file| file.commit()).context("cannot write the CSV file")?;
+        }
+        Ok(self.summary)
+    }
 }
 
 /// What the user should know, each with its remedy.

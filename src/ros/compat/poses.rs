@@ -6,7 +6,7 @@ use super::parameters::PoseTopics;
 use crate::messages::Message;
 use crate::messages::geometry_msgs::{Pose2D, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped};
 use crate::ros::NodeError;
-use crate::ros::convert::Answer;
+use crate::ros::convert::Outgoing;
 use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
 
@@ -38,7 +38,7 @@ impl PoseOutputs {
         all.into_iter().flatten()
     }
 
-    pub(in crate::ros) fn publish(&self, answer: &Answer) {
+    pub(in crate::ros) fn publish(&self, answer: &Outgoing) {
         if let Some(output) = &self.planar {
             let pose = answer.estimate.registration.odom_from_base;
             output.send(|| Pose2D { x: pose.x, y: pose.y, theta: pose.theta });

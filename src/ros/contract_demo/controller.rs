@@ -21,7 +21,7 @@ use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::{self, MatchReport};
 use crate::messages::std_msgs::{Header, Int32};
 use crate::ros::NodeError;
-use crate::ros::log::{Log, ROSOUT};
+use crate::ros::log::Log;
 use crate::ros::master::{MasterLink, MasterRegistration};
 use crate::ros::output::Output;
 use crate::ros::reader::Reader;
@@ -85,10 +85,7 @@ impl<'a> Controller<'a> {
         let subscriptions = Subscriptions::new(ros, &clock, &log)?;
         Input::ALL.into_iter().try_for_each(|input| subscribe(&subscriptions, input, sender.clone()))?;
         let mut registrations: Vec<MasterRegistration> = Input::ALL.map(|input| input.topic().registration()).into();
-        registrations.extend([
-            contracts.registration(),
-            MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log" },
-        ]);
+        registrations.extend([contracts.registration(), MasterRegistration::ROSOUT]);
         let master = MasterLink::new(ros, master, registrations, &log)?;
         log.info(&in_words);
         let reader = Reader::new(&clock, &log);

@@ -8,7 +8,7 @@ use std::time::Duration;
 use rosrust::api::{Master, Ros};
 
 use super::intake::{Intake, Remark};
-use super::{AllKnobs, convert};
+use super::{AllKnobs, PathFollowerKnobs, convert};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::timer::Timer;
 use crate::control::follower::{Follower, Step};
@@ -25,7 +25,7 @@ use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::messages::visualization_msgs::Marker;
 use crate::ros::NodeError;
-use crate::ros::log::{Log, ROSOUT};
+use crate::ros::log::Log;
 use crate::ros::master::{MasterLink, MasterRegistration};
 use crate::ros::output::Output;
 use crate::ros::params;
@@ -126,10 +126,7 @@ impl<'a> Node<'a> {
         })?;
         let mut registrations: Vec<MasterRegistration> = Input::TOPICS.map(|input| input.topic().registration()).into();
         registrations.extend(publishers.registrations());
-        registrations.extend([
-            resume.registration(ros)?,
-            MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log" },
-        ]);
+        registrations.extend([resume.registration(ros)?, MasterRegistration::ROSOUT]);
         let master = MasterLink::new(ros, master, registrations, &log)?;
         let (now, reader) = (clock.now(), Reader::new(&clock, &log));
         let AllKnobs { node, follower } = knobs;
@@ -141,13 +138,7 @@ impl<'a> Node<'a> {
         ));
         let period = Duration::from_secs_f64(node.rate.recip());
         let mut intake = Intake::new(Follower::new(follower), node.clone());
-        if let Some(file) = &node.map_file {
-            let remark = intake.set_map(map_file::read(std::path::Path::new(file))?)?;
-            tell(remark, &log);
-        }
-        if let Some(file) = &node.path_file {
-            read_path(ros.name(), file, &mut intake, &log)?;
-        }
+        read_files(ros.name(), &node, &mut intake, &log)?;
         Ok(Self {
             ros,
             clock,
@@ -297,6 +288,18 @@ impl<'a> Node<'a> {
 fn subscribe(subscriptions: &Subscriptions, input: Input, sender: Sender<(Input, Option<RawMessage>)>) -> Result<(), NodeError> {
     // Nobody listens any more when the node is ending.
     subscriptions.listen(input.topic(), move |raw| drop(sender.send((input, Some(raw)))))
+}
+
+/// Takes map and path from the files that the parameters name.
+fn read_files(node: &str, knobs: &PathFollowerKnobs, intake: &mut Intake, log: &Log) -> Result<(), NodeError> {
+    if let Some(file) = &knobs.map_file {
+        let remark = intake.set_map(map_file::read(std::path::Path::new(file))?)?;
+        tell(remark, log);
+    }
+    match &knobs.path_file {
+        Some(file) => read_path(node, file, intake, log),
+        None => Ok(()),
+    }
 }
 
 /// The path of a file is older than any that comes.

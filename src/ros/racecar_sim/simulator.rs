@@ -20,7 +20,7 @@ use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::ros::NodeError;
-use crate::ros::log::{Log, ROSOUT};
+use crate::ros::log::Log;
 use crate::ros::master::{MasterLink, MasterRegistration};
 use crate::ros::output::Output;
 use crate::ros::reader::Reader;
@@ -131,7 +131,7 @@ impl<'a> Simulator<'a> {
         }
         let mut registrations: Vec<MasterRegistration> = Input::ALL.map(|input| input.topic().registration()).into();
         registrations.extend(publishers.registrations());
-        registrations.push(MasterRegistration::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log" });
+        registrations.push(MasterRegistration::ROSOUT);
         let master = MasterLink::new(ros, master, registrations, &log)?;
         let RacecarSimKnobs { world, rate, scan_rate, wheelbase, seed, .. } = knobs;
         log.info(&format!("simulates a racecar in {world}: poses at {rate} Hz, scans at {scan_rate} Hz"));
