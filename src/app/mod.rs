@@ -139,13 +139,13 @@ impl Estimate {
         self.overrun().is_zero()
     }
 
-    /// How the robot came here; `None` where the scan was malformed, or one that had been answered before.
+    /// How the robot came here; `None` where the scan was malformed, or one that had been answered before, or where the next one starts
+    /// from where this one did.
     pub fn passage(&self) -> Option<Passage> {
         match &self.registration.outcome {
             Outcome::First => Some(Passage::Start),
             Outcome::Matched => Some(Passage::Known),
-            // Where no match was tried there was no scan to match.
-            Outcome::Predicted(_) => self.registration.refinement.map(|_| Passage::Lost),
+            Outcome::Predicted(_) => self.registration.new_keyframe.then_some(Passage::Lost),
         }
     }
 
@@ -349,6 +349,11 @@ impl App {
     /// that is answered all the same is predicted with what odometry there is.
     pub fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
         self.intake.patience().filter(|_| self.odometry.awaits_odometry(stamp))
+    }
+
+    /// How long an answer may be held back for news that make it better: `odometry.max_wait`, and half of the time budget at most.
+    pub fn patience(&self) -> Duration {
+        self.intake.patience().unwrap_or_default()
     }
 
     /// Work that can wait until an answer is out: the next scan is answered sooner and better for it. `interrupt`: the next scan is
