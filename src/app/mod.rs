@@ -140,13 +140,13 @@ impl Estimate {
         self.overrun().is_zero()
     }
 
-    /// How the robot came here; `None` where the scan was malformed, or one that had been answered before.
+    /// How the robot came here; `None` where the scan was malformed, or one that had been answered before, or where the next one starts
+    /// from where this one did.
     pub fn passage(&self) -> Option<Passage> {
         match &self.registration.outcome {
             Outcome::First => Some(Passage::Start),
             Outcome::Matched => Some(Passage::Known),
-            // Where no match was tried there was no scan to match.
-            Outcome::Predicted(_) => self.registration.refinement.map(|_| Passage::Lost),
+            Outcome::Predicted(_) => self.registration.new_keyframe.then_some(Passage::Lost),
         }
     }
 
@@ -321,6 +321,11 @@ impl App {
     /// That scan as the laser would have seen it at its stamp.
     pub fn undistorted(&self, scan: Scan) -> Scan {
         self.odometry.undistorted(&scan, &self.intake.mount.base_from_laser).unwrap_or(scan)
+    }
+
+    /// How long an answer may be held back for news that make it better: `odometry.max_wait`, and half of the time budget at most.
+    pub fn patience(&self) -> Duration {
+        self.intake.patience().unwrap_or_default()
     }
 
     /// Where another node's transforms say the base is, if these are to predict.

@@ -42,6 +42,8 @@ pub(super) struct Attempt {
     pub(super) said: Option<Prediction>,
     /// What the IMU says of its turn, believed or not, rad, and the standard deviation.
     pub(super) said_turn: Option<(f64, f64)>,
+    /// Odometry that says more of that motion is on its way.
+    pub(super) awaits_odometry: bool,
     /// Place of the laser on the base.
     pub(super) base_from_laser: Pose2,
 }

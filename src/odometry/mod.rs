@@ -151,6 +151,8 @@ pub struct LaserOdometry {
     clock_step: ClockStep,
     /// A scan was answered before the odometry had come for it: it may have died, none is waited for until it is back.
     waited_in_vain: bool,
+    /// The last scan could not be matched, and changed nothing of what the next one starts from.
+    passed_over: bool,
     map: LocalMap,
     map_from_odom: Pose2,
     loop_closer: LoopCloser,
@@ -183,6 +185,7 @@ impl LaserOdometry {
             noise: LearnedNoise::default(),
             clock_step: ClockStep::default(),
             waited_in_vain: false,
+            passed_over: false,
             map: LocalMap::default(),
             map_from_odom: Pose2::IDENTITY,
             loop_closer: LoopCloser::default(),
@@ -662,6 +665,11 @@ impl LaserOdometry {
         self.counters.predicted += 1;
         let error = ErrorEstimate::of_covariance(covariance);
         let (map_from_base, pose_covariance) = attempt.predicted_base();
+        if is_lost && attempt.awaits_odometry && !std::mem::replace(&mut self.passed_over, true) {
+            // What comes says better how the robot has moved: the next scan starts from where this one did.
+            let twist = last.motion.expect(scan.stamp().seconds_since(last.stamp)).unseen().twist;
+            return Registration { refinement, ..self.passing(problem, map_from_base, &pose_covariance, (twist, error)) };
+        }
         let answer = Answer {
             outcome: Outcome::Predicted(problem),
             is_lost,
@@ -710,17 +718,25 @@ impl LaserOdometry {
                 motion: state,
             });
         }
-        Registration {
-            twist,
-            predicted_error: error,
-            estimated_error: error,
-            ..self.registration(Outcome::Predicted(problem), map_from_base, &covariance)
-        }
+        self.passing(problem, map_from_base, &covariance, (twist, error))
+    }
+
+    /// A prediction that the next scan does not start from.
+    fn passing(
+        &self,
+        problem: Failure,
+        map_from_base: Pose2,
+        covariance: &PoseCovariance,
+        (twist, error): (Twist2, ErrorEstimate),
+    ) -> Registration {
+        let answer = self.registration(Outcome::Predicted(problem), map_from_base, covariance);
+        Registration { twist, predicted_error: error, estimated_error: error, ..answer }
     }
 
     /// What is known of the pose of a scan taken at `stamp`: the base has gone on as it did, and moved as the odometry says, each as far
     /// as it has been right lately.
     fn attempt(&mut self, last: &Last, stamp: Stamp, base_from_laser: &Pose2) -> Attempt {
+        let awaits_odometry = self.awaits_odometry(stamp);
         self.waited_in_vain = self.sources.is_behind(stamp);
         let expected = last.motion.expect(stamp.seconds_since(last.stamp)).prediction();
         let said = self.sources.motion_without_imu(last.stamp, stamp);
@@ -732,7 +748,7 @@ impl LaserOdometry {
         let known = said.map_or(expected, fused);
         self.sources.believe_imu(!self.noise.imu.is_disbelieved());
         let prediction = self.sources.with_heading(&known, last.stamp, stamp);
-        Attempt { last: *last, prediction, expected, said, said_turn, base_from_laser: *base_from_laser }
+        Attempt { last: *last, prediction, expected, said, said_turn, awaits_odometry, base_from_laser: *base_from_laser }
     }
 
     fn count_disbelieved(&mut self, has_odometry: bool) {
@@ -788,6 +804,7 @@ impl LaserOdometry {
             let place = Placement { map_from_laser, covariance, step_covariance: answer.step_covariance };
             self.upcoming_keyframe = Some(UpcomingKeyframe { scan: scan.clone(), place, is_lost });
         }
+        self.passed_over = false;
         self.last = Some(Last {
             stamp: scan.stamp(),
             map_from_base: answer.map_from_base,

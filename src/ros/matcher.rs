@@ -151,6 +151,11 @@ impl Estimator for Matcher {
         self.app.wait_for_odometry(stamp)
     }
 
+    /// A map is the better for every scan: it may wait for as long as one is held back for its odometry.
+    fn patience_in_line(&self) -> Duration {
+        if self.map.is_some() { self.app.patience() } else { Duration::ZERO }
+    }
+
     fn answer(&mut self, scan: &Sensed, arrival: Duration, desk: &mut Desk) {
         desk.urgency.set(self.app.contract().time_budget.is_some());
         self.app.set_keep_matched_points(self.publishers.wants_matched_points());

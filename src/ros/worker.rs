@@ -163,6 +163,11 @@ pub(super) trait Estimator {
     /// How long to hold back a scan of this stamp for odometry; `None`: answer it now.
     fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration>;
 
+    /// How long a scan may wait in line while those before it are answered; for none: a newer one takes its place.
+    fn patience_in_line(&self) -> Duration {
+        Duration::ZERO
+    }
+
     /// Answers a scan that arrived when the clock read `arrival`.
     fn answer(&mut self, scan: &Sensed, arrival: Duration, desk: &mut Desk<Self::Input>);
 
@@ -217,6 +222,7 @@ impl<E: Estimator> Worker<E> {
     }
 
     fn next_work(&self, timer: Option<&Timer>) -> Option<Work<E::Input>> {
+        self.desk.mailbox.set_patience(self.estimator.patience_in_line());
         match timer {
             Some(timer) => self.desk.mailbox.take_within(timer.left(self.desk.clock.now())),
             None => self.desk.mailbox.take(),

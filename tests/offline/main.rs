@@ -19,6 +19,7 @@ mod evaluation;
 mod fuzz;
 mod initial_pose;
 mod layers;
+mod late_odometry;
 #[cfg(target_os = "linux")]
 mod licences;
 mod live_map;
