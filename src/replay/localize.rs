@@ -15,9 +15,10 @@ use crate::app::Answering as _;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::sensed::Sensed;
 use crate::evaluation::association::MatchedPose;
+use crate::evaluation::consistency::Consistency;
 use crate::evaluation::statistics::{PoseErrors, percentile};
 use crate::evaluation::trajectory::StampedPose;
-use crate::geometry::Pose2;
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::io::bag::{Bag, BagError};
 use crate::localization::filter::Belief;
 use crate::matching::StopReason;
@@ -149,12 +150,23 @@ impl<W: Write> BeliefFile<W> {
     }
 }
 
+/// How far off the poses were, and whether their covariances said so.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthErrors {
+    /// The errors.
+    pub poses: PoseErrors,
+    /// `None` where no covariance can be inverted.
+    pub consistency: Option<Consistency>,
+}
+
 /// Collects the answers of a replay.
 #[derive(Clone, Debug, Default)]
 pub struct LocalizationSummary {
     poses: Vec<StampedPose>,
     /// Those of scans after which the robot knew where it was.
     localized: Vec<StampedPose>,
+    /// How sure it was then.
+    covariances: BTreeMap<Stamp, PoseCovariance>,
     elapsed: Vec<Duration>,
     between: usize,
     /// Sum of the parts of their beams that the map explained.
@@ -183,7 +195,10 @@ impl LocalizationSummary {
                 let pose = StampedPose { stamp: answer.stamp, pose: belief.map_from_base };
                 self.poses.push(pose);
                 self.elapsed.push(answer.elapsed);
-                self.localized.extend(belief.is_localized().then_some(pose));
+                if belief.is_localized() {
+                    self.localized.push(pose);
+                    self.covariances.insert(answer.stamp, belief.covariance);
+                }
                 self.explained += belief.explained;
                 self.particles += belief.particles;
                 self.effective += belief.effective;
@@ -254,9 +269,18 @@ impl LocalizationSummary {
         self.localized.first().zip(self.poses.first()).map(|(found, first)| found.stamp.seconds_since(first.stamp))
     }
 
-    /// One JSON object. `errors` are those against the truth, in the map, while the robot was localized: nothing is aligned.
-    pub fn to_json(&self, errors: Option<&PoseErrors>, problems: &[String]) -> Value {
+    /// The errors against the truth, in the map, while the robot was localized: nothing is aligned. `None` when there are none.
+    pub fn errors(&self, matched: &[MatchedPose]) -> Option<TruthErrors> {
+        let errors: Vec<_> = matched.iter().map(|matched| matched.truth.between(&matched.estimate)).collect();
+        let covariance = |matched: &MatchedPose| self.covariances.get(&matched.stamp);
+        let estimates = matched.iter().filter_map(|m| Some((&m.estimate, covariance(m)?, &m.truth)));
+        Some(TruthErrors { poses: PoseErrors::of(&errors)?, consistency: Consistency::of(estimates) })
+    }
+
+    /// One JSON object.
+    pub fn to_json(&self, errors: Option<&TruthErrors>, problems: &[String]) -> Value {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
+        let consistency = errors.and_then(|errors| errors.consistency);
         json!({
             "scans": self.poses.len(),
             "passed_over": self.between,
@@ -270,17 +294,19 @@ impl LocalizationSummary {
             "deadline_misses": self.late,
             "worst_overrun_us": microseconds(self.worst_overrun),
             "time_us": {"p50": p50, "p99": p99, "max": max},
-            "position_rmse_m": errors.map(|errors| errors.trans_m.rmse),
-            "position_max_m": errors.map(|errors| errors.trans_m.max),
-            "heading_rmse_deg": errors.map(|errors| errors.rot_deg.rmse),
-            "heading_max_deg": errors.map(|errors| errors.rot_deg.max),
+            "position_rmse_m": errors.map(|errors| errors.poses.trans_m.rmse),
+            "position_max_m": errors.map(|errors| errors.poses.trans_m.max),
+            "heading_rmse_deg": errors.map(|errors| errors.poses.rot_deg.rmse),
+            "heading_max_deg": errors.map(|errors| errors.poses.rot_deg.max),
+            "nees": consistency.map(|consistency| consistency.nees),
+            "within_three_sigma": consistency.map(|consistency| consistency.within_three_sigma),
             "unused": self.unused.iter().map(|(code, (count, _))| (*code, *count)).collect::<BTreeMap<_, _>>(),
             "problems": problems,
         })
     }
 
     /// A table for people.
-    pub fn to_text(&self, errors: Option<&PoseErrors>, problems: &[String]) -> String {
+    pub fn to_text(&self, errors: Option<&TruthErrors>, problems: &[String]) -> String {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
@@ -300,12 +326,19 @@ impl LocalizationSummary {
             let worst = microseconds(self.worst_overrun);
             table.add_row(["deadline misses", &format!("{}, worst overrun {worst:.0} us", self.late)]);
         }
-        if let Some(PoseErrors { trans_m, rot_deg, .. }) = errors {
+        if let Some(TruthErrors { poses: PoseErrors { trans_m, rot_deg, .. }, consistency }) = errors {
             table.add_row(["position error", &format!("while localized: RMSE {:.4} m, max {:.4} m", trans_m.rmse, trans_m.max)]);
             table.add_row([
                 "heading error",
                 &format!("while localized: RMSE {:.4} deg, max {:.4} deg", rot_deg.rmse, rot_deg.max),
             ]);
+            if let Some(Consistency { nees, within_three_sigma }) = consistency {
+                let percent = 100.0 * within_three_sigma;
+                table.add_row([
+                    "consistency",
+                    &format!("NEES {nees:.1} (right: 3); {percent:.1} % of the positions within three sigma"),
+                ]);
+            }
         }
         let mut text = format!("{table}\n");
         for problem in problems {
@@ -313,10 +346,4 @@ impl LocalizationSummary {
         }
         text
     }
-}
-
-/// Errors in the map, without aligning the trajectories; `None` when there are none.
-pub fn errors(matched: &[MatchedPose]) -> Option<PoseErrors> {
-    let errors: Vec<_> = matched.iter().map(|matched| matched.truth.between(&matched.estimate)).collect();
-    PoseErrors::of(&errors)
 }
