@@ -5,6 +5,7 @@
 
 pub mod association;
 pub mod ate;
+pub mod consistency;
 #[cfg(feature = "cli")]
 pub mod map_comparison;
 #[cfg(feature = "cli")]

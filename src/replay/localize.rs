@@ -15,9 +15,10 @@ use crate::app::Answering as _;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::sensed::Sensed;
 use crate::evaluation::association::MatchedPose;
+use crate::evaluation::consistency::Consistency;
 use crate::evaluation::statistics::PoseErrors;
 use crate::evaluation::trajectory::StampedPose;
-use crate::geometry::Pose2;
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::io::bag::{Bag, BagError};
 use crate::localization::estimate::Belief;
 use crate::quantile;
@@ -92,12 +93,23 @@ fn pass_over<E>(
     on_answer(&Answer::Between { stamp, map_from_base }, scan)
 }
 
+/// How far off the poses were, and whether their covariances said so.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthErrors {
+    /// The errors.
+    pub poses: PoseErrors,
+    /// `None` where no covariance can be inverted.
+    pub consistency: Option<Consistency>,
+}
+
 /// Collects the answers of a replay.
 #[derive(Clone, Debug, Default)]
 pub struct LocalizationSummary {
     poses: Vec<StampedPose>,
     /// Those of scans after which the robot knew where it was.
     localized: Vec<StampedPose>,
+    /// How sure it was then.
+    covariances: BTreeMap<Stamp, PoseCovariance>,
     elapsed: Vec<Duration>,
     between: usize,
     /// Sum of the parts of their beams that the map explained.
@@ -118,7 +130,7 @@ impl LocalizationSummary {
     }
 
     /// Adds an answer; returns its pose, if it has one.
-    pub fn add(&mut self, BeliefRow { pose, report, .. }: &BeliefRow) -> Option<StampedPose> {
+    pub fn add(&mut self, BeliefRow { pose, covariance, report }: &BeliefRow) -> Option<StampedPose> {
         let Some(pose) = *pose else {
             self.unused.entry(report.failure.clone()).or_insert_with(|| (0, report.reason.clone())).0 += 1;
             return None;
@@ -126,7 +138,10 @@ impl LocalizationSummary {
         let pose = StampedPose { stamp: report.header.stamp.into(), pose };
         self.poses.push(pose);
         self.elapsed.push(report.elapsed.span());
-        self.localized.extend(report.localized.then_some(pose));
+        if report.localized {
+            self.localized.push(pose);
+            self.covariances.insert(pose.stamp, *covariance);
+        }
         self.explained += report.explained;
         self.particles += u64::from(report.particles);
         self.effective += report.effective;
@@ -191,9 +206,18 @@ impl LocalizationSummary {
         self.localized.first().zip(self.poses.first()).map(|(found, first)| found.stamp.seconds_since(first.stamp))
     }
 
-    /// One JSON object. `errors` are those against the truth, in the map, while the robot was localized: nothing is aligned.
-    pub fn to_json(&self, errors: Option<&PoseErrors>, problems: &[String]) -> Value {
+    /// The errors against the truth, in the map, while the robot was localized: nothing is aligned. `None` when there are none.
+    pub fn errors(&self, matched: &[MatchedPose]) -> Option<TruthErrors> {
+        let errors: Vec<_> = matched.iter().map(|matched| matched.truth.between(&matched.estimate)).collect();
+        let covariance = |matched: &MatchedPose| self.covariances.get(&matched.stamp);
+        let estimates = matched.iter().filter_map(|m| Some((&m.estimate, covariance(m)?, &m.truth)));
+        Some(TruthErrors { poses: PoseErrors::of(&errors)?, consistency: Consistency::of(estimates) })
+    }
+
+    /// One JSON object.
+    pub fn to_json(&self, errors: Option<&TruthErrors>, problems: &[String]) -> Value {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
+        let consistency = errors.and_then(|errors| errors.consistency);
         json!({
             "scans": self.poses.len(),
             "passed_over": self.between,
@@ -207,17 +231,19 @@ impl LocalizationSummary {
             "deadline_misses": self.late,
             "worst_overrun_us": microseconds(self.worst_overrun),
             "time_us": {"p50": p50, "p99": p99, "max": max},
-            "position_rmse_m": errors.map(|errors| errors.trans_m.rmse),
-            "position_max_m": errors.map(|errors| errors.trans_m.max),
-            "heading_rmse_deg": errors.map(|errors| errors.rot_deg.rmse),
-            "heading_max_deg": errors.map(|errors| errors.rot_deg.max),
+            "position_rmse_m": errors.map(|errors| errors.poses.trans_m.rmse),
+            "position_max_m": errors.map(|errors| errors.poses.trans_m.max),
+            "heading_rmse_deg": errors.map(|errors| errors.poses.rot_deg.rmse),
+            "heading_max_deg": errors.map(|errors| errors.poses.rot_deg.max),
+            "nees": consistency.map(|consistency| consistency.nees),
+            "within_three_sigma": consistency.map(|consistency| consistency.within_three_sigma),
             "unused": self.unused.iter().map(|(code, (count, _))| (code, *count)).collect::<BTreeMap<_, _>>(),
             "problems": problems,
         })
     }
 
     /// A table for people.
-    pub fn to_text(&self, errors: Option<&PoseErrors>, problems: &[String]) -> String {
+    pub fn to_text(&self, errors: Option<&TruthErrors>, problems: &[String]) -> String {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
@@ -237,12 +263,19 @@ impl LocalizationSummary {
             let worst = microseconds(self.worst_overrun);
             table.add_row(["deadline misses", &format!("{}, worst overrun {worst:.0} us", self.late)]);
         }
-        if let Some(PoseErrors { trans_m, rot_deg, .. }) = errors {
+        if let Some(TruthErrors { poses: PoseErrors { trans_m, rot_deg, .. }, consistency }) = errors {
             table.add_row(["position error", &format!("while localized: RMSE {:.4} m, max {:.4} m", trans_m.rmse, trans_m.max)]);
             table.add_row([
                 "heading error",
                 &format!("while localized: RMSE {:.4} deg, max {:.4} deg", rot_deg.rmse, rot_deg.max),
             ]);
+            if let Some(Consistency { nees, within_three_sigma }) = consistency {
+                let percent = 100.0 * within_three_sigma;
+                table.add_row([
+                    "consistency",
+                    &format!("NEES {nees:.1} (right: 3); {percent:.1} % of the positions within three sigma"),
+                ]);
+            }
         }
         let mut text = format!("{table}\n");
         for problem in problems {
@@ -250,10 +283,4 @@ impl LocalizationSummary {
         }
         text
     }
-}
-
-/// Errors in the map, without aligning the trajectories; `None` when there are none.
-pub fn errors(matched: &[MatchedPose]) -> Option<PoseErrors> {
-    let errors: Vec<_> = matched.iter().map(|matched| matched.truth.between(&matched.estimate)).collect();
-    PoseErrors::of(&errors)
 }

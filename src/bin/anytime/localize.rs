@@ -17,7 +17,7 @@ use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::knobs::Value;
 use anytime_scan_matcher::output::OutputFile;
-use anytime_scan_matcher::replay::localize::{Answer, LocalizationSummary, errors, localize};
+use anytime_scan_matcher::replay::localize::{Answer, LocalizationSummary, localize};
 use anytime_scan_matcher::replay::row::BeliefRow;
 use anytime_scan_matcher::replay::truth;
 use clap::Args;
@@ -101,7 +101,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let trajectory = localized.map(|poses| Trajectory::new(poses.to_vec())).transpose()?;
     let matched = trajectory.zip(truth).map(|(trajectory, truth)| associate(&trajectory, &truth, Comparison::default().max_dt));
     let matched = matched.transpose()?;
-    let errors = matched.and_then(|matched| errors(&matched));
+    let errors = matched.and_then(|matched| summary.errors(&matched));
     let mut problems: Vec<String> = bag.problems().iter().map(ToString::to_string).chain(log.problems).collect();
     problems.extend(reservations(&localizer));
     let text = files(arguments, &config).shown(
