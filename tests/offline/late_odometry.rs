@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::{App, Estimate};
+use anytime_scan_matcher::app::{Answering as _, App, Estimate};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::mapping::Passage;

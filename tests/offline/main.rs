@@ -18,8 +18,8 @@ mod drive;
 mod evaluation;
 mod fuzz;
 mod initial_pose;
-mod layers;
 mod late_odometry;
+mod layers;
 #[cfg(target_os = "linux")]
 mod licences;
 mod live_map;
