@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::{Clock, ProcessorClock};
 use anytime_scan_matcher::anytime::interrupt::Never;
+use anytime_scan_matcher::app::Answering as _;
 use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::io::map_file;

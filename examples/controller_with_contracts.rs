@@ -9,7 +9,7 @@ use std::time::Duration;
 use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock};
 use anytime_scan_matcher::anytime::contract::Contract;
 use anytime_scan_matcher::anytime::interrupt::Never;
-use anytime_scan_matcher::app::App;
+use anytime_scan_matcher::app::{Answering as _, App};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};

@@ -8,9 +8,9 @@ _generator="$(command -v genmsg_py.py || ls /usr/lib/genpy/genmsg_py.py /opt/ros
 _python=/usr/bin/python3
 if mkdir -p "$_types/anytime_scan_matcher/msg" &&
   : >"$_types/anytime_scan_matcher/__init__.py" &&
-  "$_python" "$_generator" -p anytime_scan_matcher -I "std_msgs:$_package/msg/std_msgs/msg" \
-    -I "anytime_scan_matcher:$_package/msg/anytime_scan_matcher/msg" -o "$_types/anytime_scan_matcher/msg" \
-    "$_package"/msg/anytime_scan_matcher/msg/*.msg &&
+  "$_python" "$_generator" -p anytime_scan_matcher -I "std_msgs:$_package/definitions/std_msgs/msg" \
+    -I "anytime_scan_matcher:$_package/msg" -o "$_types/anytime_scan_matcher/msg" \
+    "$_package"/msg/*.msg &&
   "$_python" "$_generator" --initpy -p anytime_scan_matcher -o "$_types/anytime_scan_matcher/msg"; then
   export PYTHONPATH="$_types${PYTHONPATH:+:$PYTHONPATH}"
   case ":${ROS_PACKAGE_PATH:-}:" in

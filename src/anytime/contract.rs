@@ -115,6 +115,18 @@ impl TryFrom<&ContractKnobs> for Contract {
     }
 }
 
+/// Without a header; zero where there is no limit.
+impl From<&Contract> for own::Contract {
+    fn from(contract: &Contract) -> Self {
+        Self {
+            time_budget: contract.time_budget.unwrap_or_default().into(),
+            translation_error_bound: contract.translation_error_bound.unwrap_or_default(),
+            rotation_error_bound: contract.rotation_error_bound.unwrap_or_default(),
+            ..Self::default()
+        }
+    }
+}
+
 impl TryFrom<&own::Contract> for Contract {
     type Error = ContractError;
 

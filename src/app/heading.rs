@@ -1,16 +1,16 @@
-//! What an IMU's message says of the heading.
+//! The heading from a message of an IMU.
 
 use super::{InputError, yaw};
 use crate::messages::sensor_msgs::Imu;
 use crate::odometry::heading::HeadingReading;
 
-/// `None`: it says nothing. An IMU that is mounted `upside_down` turns the other way round; its orientation has that in it.
+/// `None`: it has no information. An IMU mounted `upside_down` turns the other way round; its orientation includes that.
 pub(super) fn reading(message: &Imu, upside_down: bool) -> Result<Option<HeadingReading>, InputError> {
     let (rates, orientation) = (&message.angular_velocity, &message.orientation);
     if ![rates.x, rates.y, rates.z].iter().all(|rate| rate.is_finite()) {
         return Err(InputError::VelocityNotFinite);
     }
-    // A first variance of -1 says that there is no orientation; not everybody says so.
+    // A first variance of -1 means that there is no orientation; not every driver sets it.
     let has_orientation = message.orientation_covariance[0] >= 0.0 && orientation.norm() != 0.0;
     let yaw = if has_orientation { Some(yaw(orientation)?) } else { None };
     let says_nothing = yaw.is_none() && rates.x == 0.0 && rates.y == 0.0 && rates.z == 0.0;

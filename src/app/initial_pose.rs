@@ -1,4 +1,4 @@
-//! A pose that somebody has set, as in `RViz`, until the first scan that was taken after it.
+//! A pose set by a user, as in `RViz`, until the first scan after it.
 
 use std::time::Duration;
 

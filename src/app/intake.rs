@@ -58,7 +58,7 @@ pub(super) struct Intake {
 }
 
 impl Intake {
-    /// Fails on a contract that is none.
+    /// Fails on an invalid contract.
     pub(super) fn new(config: &Config, clock: Arc<dyn Clock>) -> Result<Self, ContractError> {
         let parameter = config.odometry.laser_in_base;
         Ok(Self {
@@ -132,12 +132,12 @@ impl Intake {
         if count == 0 { Ok(()) } else { Err(InputError::BadTransforms { count }) }
     }
 
-    /// What odometry says of the base.
+    /// The sample of the base from odometry.
     pub(super) fn wheel_sample(&self, message: &Odometry) -> Result<WheelSample, InputError> {
         wheel_sample(message, &self.transforms, &self.config.frames)
     }
 
-    /// What is odd in the messages so far and was not said before; each kind of it is said once.
+    /// Remarks on oddities of the messages; each kind is reported once.
     pub(super) fn take_remarks(&mut self) -> Vec<String> {
         std::mem::take(&mut self.remarks)
     }

@@ -8,18 +8,18 @@ use thiserror::Error;
 use super::initial_pose::InitialPose;
 use super::intake::{Intake, Unusable};
 use super::sensed::Sensed;
-use super::{InputError, MountSource, planar_pose};
+use super::{Answering, InputError, MountSource, planar_pose};
 use crate::anytime::clock::Clock;
 use crate::anytime::contract::{Contract, ContractError};
 use crate::anytime::interrupt::{Interrupt, Never};
 use crate::anytime::{Driver, Task};
 use crate::config::Config;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
-use crate::localization::filter::{Belief, ParticleFilter};
 use crate::localization::observation::Observation;
+use crate::localization::{estimate::Belief, filter::ParticleFilter};
 use crate::map::grid::{Cell, OccupancyGrid};
 use crate::matching::StopReason;
-use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};
+use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped, planar_covariance};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own;
 use crate::messages::sensor_msgs::LaserScan;
@@ -30,7 +30,7 @@ use crate::scan::Scan;
 use crate::time::{NEW_RUN, Stamp};
 use crate::transforms::{Mount, TransformTree, frame_name};
 
-/// Over a longer time than this the last velocity says nothing, s.
+/// The last velocity predicts no longer than this, s.
 const LONGEST_GUESS: f64 = 0.5;
 /// Scans of the practice before the first one, for each of some numbers of particles.
 const PRACTICE_SCANS: usize = 6;
@@ -41,7 +41,7 @@ pub enum LocalizerError {
     /// The system gives no threads.
     #[error("cannot start the threads of the particle filter (localization.threads): {0}")]
     Threads(#[source] std::io::Error),
-    /// The contract of the configuration is none.
+    /// The contract of the configuration is invalid.
     #[error(transparent)]
     Contract(#[from] ContractError),
     /// There is no place for a robot.
@@ -61,7 +61,7 @@ pub enum NoEvidence {
 }
 
 impl NoEvidence {
-    /// Its kind, for programs.
+    /// Its code, for programs.
     pub fn code(&self) -> &'static str {
         match self {
             Self::Unusable(Unusable::Malformed(_) | Unusable::MalformedCloud(_)) => "malformed_scan",
@@ -178,15 +178,6 @@ impl Localizer {
         self.fix(&message.header, arrival, interrupt, |intake| intake.scan(message))
     }
 
-    /// Takes a scan or a point cloud, as [`Self::on_scan`] does; what interrupts is as it was set.
-    pub fn on_sensed(&mut self, message: &Sensed, arrival: Duration) -> Fix {
-        let interrupt = Arc::clone(&self.interrupt);
-        match message {
-            Sensed::Scan(scan) => self.on_scan(scan, arrival, &*interrupt),
-            Sensed::Cloud(cloud) => self.fix(&cloud.header, arrival, &*interrupt, |intake| intake.cloud(cloud)),
-        }
-    }
-
     fn fix(
         &mut self,
         header: &Header,
@@ -253,22 +244,6 @@ impl Localizer {
         (belief, stop_reason, driver.refined())
     }
 
-    /// To be called once the belief of `fix` has been handed over: takes the time.
-    pub fn conclude(&mut self, fix: &mut Fix) {
-        let size = fix.belief.as_ref().ok().map(|belief| belief.particles);
-        fix.elapsed = self.intake.conclude(fix.arrival, fix.refined, size);
-        self.deadline_misses += u64::from(size.is_some() && !fix.overrun().is_zero());
-    }
-
-    /// Work that can wait until an answer is out. `interrupt`: the next scan is here.
-    pub fn maintain(&mut self, interrupt: &dyn Interrupt) {
-        let task = self.intake.task_without_limit();
-        let Intake { config, clock, costs, .. } = &mut self.intake;
-        let mut driver = Driver::new(task, &**clock, interrupt, costs);
-        self.filter.finish(config.contract.finish_after_answer, &mut driver);
-        costs.learn();
-    }
-
     /// By odometry; where it is silent, as before.
     fn motion(&mut self, from: Stamp, to: Stamp) -> Pose2 {
         self.wheel.motion(from, to).unwrap_or_else(|| {
@@ -302,32 +277,13 @@ impl Localizer {
         self.odometer.map(|(stamp, _)| stamp)
     }
 
-    /// How long to hold back a scan of this stamp for odometry that has not come yet; `None`: take it now.
-    pub fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        self.intake.patience().filter(|_| self.wheel.is_behind(stamp))
-    }
-
-    /// Takes wheel odometry.
-    pub fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
-        let sample = self.intake.wheel_sample(message)?;
-        self.wheel.push(sample);
-        self.odometer = Some((sample.stamp, sample.pose));
-        Ok(())
-    }
-
-    /// Takes transforms, static or not.
-    pub fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
-        self.intake.on_transforms(message)
-    }
-
     /// Takes the pose of the base, as a person sets it in `RViz`, which came when the clock read `arrival`: the robot is there when the
     /// next scan after it is taken.
     pub fn on_initial_pose(&mut self, message: &PoseWithCovarianceStamped, arrival: Duration) -> Result<(), InputError> {
         self.check_frame(&message.header.frame_id)?;
         let pose = planar_pose(&message.pose.pose)?;
         self.check_place(&pose)?;
-        let of = |row: usize, column: usize| message.pose.covariance[6 * row + column];
-        let covariance = PoseCovariance::from_fn(|row, column| of([0, 1, 5][row], [0, 1, 5][column]));
+        let covariance = planar_covariance(&message.pose.covariance);
         self.initial_pose = Some(InitialPose::new((pose, covariance), &message.header, arrival));
         Ok(())
     }
@@ -398,11 +354,6 @@ impl Localizer {
         self.deadline_misses
     }
 
-    /// What is odd in the messages so far and was not said before; each kind of it is said once.
-    pub fn take_remarks(&mut self) -> Vec<String> {
-        self.intake.take_remarks()
-    }
-
     /// A place is given in the frame of the map; some programs leave the frame empty.
     fn check_frame(&self, frame: &str) -> Result<(), InputError> {
         let (frame, expected) = (frame_name(frame), frame_name(&self.intake.config.frames.map_frame));
@@ -419,6 +370,51 @@ impl Localizer {
             Some(_) => Ok(()),
             None => Err(InputError::OutsideMap { x: map_from_base.x, y: map_from_base.y }),
         }
+    }
+}
+
+impl Answering for Localizer {
+    type Answer = Fix;
+
+    fn on_sensed(&mut self, message: &Sensed, arrival: Duration) -> Fix {
+        let interrupt = Arc::clone(&self.interrupt);
+        match message {
+            Sensed::Scan(scan) => self.on_scan(scan, arrival, &*interrupt),
+            Sensed::Cloud(cloud) => self.fix(&cloud.header, arrival, &*interrupt, |intake| intake.cloud(cloud)),
+        }
+    }
+
+    fn conclude(&mut self, fix: &mut Fix) {
+        let size = fix.belief.as_ref().ok().map(|belief| belief.particles);
+        fix.elapsed = self.intake.conclude(fix.arrival, fix.refined, size);
+        self.deadline_misses += u64::from(size.is_some() && !fix.overrun().is_zero());
+    }
+
+    fn maintain(&mut self, interrupt: &dyn Interrupt) {
+        let task = self.intake.task_without_limit();
+        let Intake { config, clock, costs, .. } = &mut self.intake;
+        let mut driver = Driver::new(task, &**clock, interrupt, costs);
+        self.filter.finish(config.contract.finish_after_answer, &mut driver);
+        costs.learn();
+    }
+
+    fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
+        self.intake.patience().filter(|_| self.wheel.is_behind(stamp))
+    }
+
+    fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
+        let sample = self.intake.wheel_sample(message)?;
+        self.wheel.push(sample);
+        self.odometer = Some((sample.stamp, sample.pose));
+        Ok(())
+    }
+
+    fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
+        self.intake.on_transforms(message)
+    }
+
+    fn take_remarks(&mut self) -> Vec<String> {
+        self.intake.take_remarks()
     }
 }
 

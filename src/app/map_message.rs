@@ -16,11 +16,11 @@ const FREE: i8 = 25;
 /// A message that is no map.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum MapMessageError {
-    /// Its size or resolution are none.
-    #[error("the map is of no use: {0}")]
+    /// Its size or resolution is invalid.
+    #[error("unusable map: {0}")]
     Grid(#[from] GridError),
     /// Height and data do not go together.
-    #[error("the map is of no use: {cells} cells do not make {width} x {height}")]
+    #[error("unusable map: {cells} cells do not make {width} x {height}")]
     Size {
         /// Number of columns.
         width: u32,
@@ -29,8 +29,8 @@ pub enum MapMessageError {
         /// Number of cells.
         cells: usize,
     },
-    /// The pose of its corner is none.
-    #[error("the origin of the map is of no use: {0}")]
+    /// The pose of its corner is invalid.
+    #[error("unusable origin of the map: {0}")]
     Origin(#[from] InputError),
 }
 
@@ -106,7 +106,7 @@ mod tests {
         assert!(problem(&sample(0.0, 2)).contains("resolution is 0"));
         assert!(problem(&sample(f32::NAN, 2)).contains("resolution is NaN"));
         assert!(problem(&sample(0.05, 7)).contains("6 cells do not make 3 x 7"));
-        assert!(problem(&nav_msgs::OccupancyGrid::default()).contains("of no use"));
+        assert!(problem(&nav_msgs::OccupancyGrid::default()).contains("unusable"));
         let mut turned = sample(0.05, 2);
         turned.info.origin.orientation.w = 9.0;
         assert!(problem(&turned).contains("normalised"));

@@ -6,6 +6,7 @@ mod initial_pose;
 mod intake;
 pub mod localizer;
 pub mod map_message;
+mod report;
 pub mod sensed;
 mod warm_up;
 
@@ -101,7 +102,7 @@ pub enum InputError {
     },
 }
 
-/// A file that the configuration names is of no use.
+/// A file that the configuration names is unusable.
 #[derive(Debug, Error)]
 pub enum StartError {
     /// The learned costs.
@@ -139,13 +140,13 @@ impl Estimate {
         self.overrun().is_zero()
     }
 
-    /// How the robot came here; `None` where the scan was malformed, or one that had been answered before.
+    /// How the robot came here; `None` where the scan was malformed, or one that had been answered before, or where the next one starts
+    /// from where this one did.
     pub fn passage(&self) -> Option<Passage> {
         match &self.registration.outcome {
             Outcome::First => Some(Passage::Start),
             Outcome::Matched => Some(Passage::Known),
-            // Where no match was tried there was no scan to match.
-            Outcome::Predicted(_) => self.registration.refinement.map(|_| Passage::Lost),
+            Outcome::Predicted(_) => self.registration.new_keyframe.then_some(Passage::Lost),
         }
     }
 
@@ -213,7 +214,7 @@ pub struct App {
 }
 
 impl App {
-    /// An application with this configuration. Fails on a contract that is none.
+    /// An application with this configuration. Fails on an invalid contract.
     pub fn new(config: &Config, clock: Arc<dyn Clock>) -> Result<Self, ContractError> {
         Ok(Self {
             intake: Intake::new(config, clock)?,
@@ -276,14 +277,6 @@ impl App {
         self.estimate(&message.header, arrival, |intake| intake.cloud(message))
     }
 
-    /// Answers whichever of the two it is.
-    pub fn on_sensed(&mut self, message: &Sensed, arrival: Duration) -> Estimate {
-        match message {
-            Sensed::Scan(scan) => self.on_scan(scan, arrival),
-            Sensed::Cloud(cloud) => self.on_cloud(cloud, arrival),
-        }
-    }
-
     fn estimate(
         &mut self,
         header: &Header,
@@ -330,54 +323,9 @@ impl App {
         self.odometry.undistorted(&scan, &self.intake.mount.base_from_laser).unwrap_or(scan)
     }
 
-    /// What is odd in the messages so far and was not said before; each kind of it is said once.
-    pub fn take_remarks(&mut self) -> Vec<String> {
-        self.intake.take_remarks()
-    }
-
-    /// To be called once the pose of `estimate` has been handed over: takes the time.
-    pub fn conclude(&mut self, estimate: &mut Estimate) {
-        let size = estimate.registration.refinement.as_ref().map(|report| report.rays_used as usize);
-        estimate.elapsed = self.intake.conclude(estimate.arrival, estimate.refined, size);
-        self.counters.deadline_misses += u64::from(!estimate.deadline_met());
-        if let (Some(watch), Some(conditions)) = (&mut self.watch, estimate.conditions()) {
-            estimate.outside_profile = watch.add(&conditions);
-        }
-    }
-
-    /// How long to hold back a scan of this stamp for odometry that it needs and that has not come yet; `None`: answer it now. A scan
-    /// that is answered all the same is predicted with what odometry there is.
-    pub fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        self.intake.patience().filter(|_| self.odometry.awaits_odometry(stamp))
-    }
-
-    /// Work that can wait until an answer is out: the next scan is answered sooner and better for it. `interrupt`: the next scan is
-    /// here.
-    pub fn maintain(&mut self, interrupt: &dyn Interrupt) {
-        let task = self.intake.task_without_limit();
-        let Intake { config, clock, costs, .. } = &mut self.intake;
-        let mut driver = Driver::new(task, &**clock, interrupt, costs);
-        if config.contract.finish_after_answer {
-            self.odometry.finish(&mut driver);
-        }
-        self.odometry.maintain();
-        self.odometry.close_loop(&mut driver);
-        costs.learn();
-    }
-
-    /// Takes wheel odometry.
-    pub fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
-        let sample = self.intake.wheel_sample(message);
-        let sample = self.count_refused(sample)?;
-        self.odometry.add_wheel_sample(sample);
-        Ok(())
-    }
-
-    /// Takes transforms, static or not.
-    pub fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
-        let outcome = self.intake.on_transforms(message);
-        self.predict_from(message);
-        self.count_refused(outcome)
+    /// How long an answer may be held back for news that make it better: `odometry.max_wait`, and half of the time budget at most.
+    pub fn patience(&self) -> Duration {
+        self.intake.patience().unwrap_or_default()
     }
 
     /// Where another node's transforms say the base is, if these are to predict.
@@ -389,16 +337,6 @@ impl App {
             let stamp = moved.header.stamp.into();
             self.odometry.add_transform_sample(WheelSample { stamp, pose: place.base_from_laser, twist: None });
         }
-    }
-
-    /// Takes a reading of the IMU; one that says nothing (some simulators publish zeros) is let pass.
-    pub fn on_imu(&mut self, message: &Imu) -> Result<(), InputError> {
-        let mount = self.intake.transforms.mount(&self.intake.config.frames.base_frame, &message.header.frame_id);
-        let reading = heading::reading(message, mount.is_some_and(|mount| mount.upside_down));
-        if let Some(reading) = self.count_refused(reading)? {
-            self.odometry.add_heading(reading);
-        }
-        Ok(())
     }
 
     /// Takes the velocity of the base as it is now: the prediction where there is no odometry.
@@ -494,7 +432,69 @@ impl App {
     }
 }
 
-/// A scan of no use is answered with the prediction, and says why.
+impl Answering for App {
+    type Answer = Estimate;
+
+    fn on_sensed(&mut self, message: &Sensed, arrival: Duration) -> Estimate {
+        match message {
+            Sensed::Scan(scan) => self.on_scan(scan, arrival),
+            Sensed::Cloud(cloud) => self.on_cloud(cloud, arrival),
+        }
+    }
+
+    fn conclude(&mut self, estimate: &mut Estimate) {
+        let size = estimate.registration.refinement.as_ref().map(|report| report.rays_used as usize);
+        estimate.elapsed = self.intake.conclude(estimate.arrival, estimate.refined, size);
+        self.counters.deadline_misses += u64::from(!estimate.deadline_met());
+        if let (Some(watch), Some(conditions)) = (&mut self.watch, estimate.conditions()) {
+            estimate.outside_profile = watch.add(&conditions);
+        }
+    }
+
+    fn maintain(&mut self, interrupt: &dyn Interrupt) {
+        let task = self.intake.task_without_limit();
+        let Intake { config, clock, costs, .. } = &mut self.intake;
+        let mut driver = Driver::new(task, &**clock, interrupt, costs);
+        if config.contract.finish_after_answer {
+            self.odometry.finish(&mut driver);
+        }
+        self.odometry.maintain();
+        self.odometry.close_loop(&mut driver);
+        costs.learn();
+    }
+
+    fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
+        self.intake.patience().filter(|_| self.odometry.awaits_odometry(stamp))
+    }
+
+    fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
+        let sample = self.intake.wheel_sample(message);
+        let sample = self.count_refused(sample)?;
+        self.odometry.add_wheel_sample(sample);
+        Ok(())
+    }
+
+    fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
+        let outcome = self.intake.on_transforms(message);
+        self.predict_from(message);
+        self.count_refused(outcome)
+    }
+
+    fn on_imu(&mut self, message: &Imu) -> Result<(), InputError> {
+        let mount = self.intake.transforms.mount(&self.intake.config.frames.base_frame, &message.header.frame_id);
+        let reading = heading::reading(message, mount.is_some_and(|mount| mount.upside_down));
+        if let Some(reading) = self.count_refused(reading)? {
+            self.odometry.add_heading(reading);
+        }
+        Ok(())
+    }
+
+    fn take_remarks(&mut self) -> Vec<String> {
+        self.intake.take_remarks()
+    }
+}
+
+/// Why an unusable scan is answered with the prediction.
 fn failure(problem: &Unusable) -> Failure {
     let reason = match problem {
         Unusable::Tilted(_) => FailureReason::TiltedMount,

@@ -3,7 +3,7 @@
 use std::convert::Infallible;
 use std::sync::Arc;
 
-use super::App;
+use super::{Answering as _, App};
 use crate::anytime::contract::ContractKnobs;
 use crate::anytime::cost_model::CostModel;
 use crate::anytime::interrupt::Never;
@@ -48,7 +48,7 @@ fn practise_with(app: &App, max_rays: u32, drive: &[SimulatedMessage], costs: Co
     let Ok(mut practice) = App::new(&config, Arc::clone(&app.intake.clock)) else { return costs };
     practice.intake.costs = costs;
     for message in drive {
-        // What a simulated sensor says is never refused.
+        // Simulated messages are never rejected.
         match message {
             SimulatedMessage::Scan(scan) => {
                 let mut estimate = practice.on_scan(scan, practice.intake.clock.now());

@@ -6,7 +6,7 @@ mod node_program;
 use std::process::ExitCode;
 
 use anytime_scan_matcher::config::Config;
-use anytime_scan_matcher::ros::mapper;
+use anytime_scan_matcher::ros;
 use node_program::{NodeProgram, own_arguments};
 
 const USAGE: &str = "\
@@ -23,5 +23,5 @@ Parameters, in the node's private namespace (~mapping/resolution), or in the YAM
 fn main() -> ExitCode {
     let is_used = |path: &str| !path.starts_with("localization");
     let parameters = Config::default().table().into_iter().filter(|(path, _)| is_used(path)).collect();
-    NodeProgram { name: "mapper", usage: USAGE, parameters, run: mapper::run }.main(&own_arguments())
+    NodeProgram { name: "mapper", usage: USAGE, parameters, run: ros::run_mapper }.main(&own_arguments())
 }

@@ -35,6 +35,22 @@ pub enum StopReason {
 }
 
 impl StopReason {
+    /// Its code, for programs.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::NoPath => "no_path",
+            Self::NoPose => "no_pose",
+            Self::PoseAge(_) => "pose_age",
+            Self::PoseUncertain(_) => "pose_uncertain",
+            Self::PathFar(_) => "path_far",
+            Self::WrongWay => "wrong_way",
+            Self::ClockJumped => "clock_jumped",
+            Self::ScanAge(_) => "scan_age",
+            Self::Collision(_) => "collision",
+            Self::Arrived => "arrived",
+        }
+    }
+
     /// Whether the car stays even when the cause is gone.
     pub fn is_latched(&self) -> bool {
         matches!(self, Self::Collision(_))

@@ -24,7 +24,7 @@ pub enum WaypointFileError {
     Line {
         /// Which one, from 1.
         line: usize,
-        /// What it says.
+        /// Its outputs.
         text: String,
     },
     /// There is no line with numbers.

@@ -1,19 +1,49 @@
 //! The report: one page of HTML with everything in it.
 
 use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
 
 use super::study::{HEADER, Outcome, Study, remarks, row};
+use super::{DriveError, pictures};
+use crate::output;
 use crate::profile::html::{STYLE, escaped, table};
 
 /// Ways of so many cases are drawn at most.
-pub(super) const MOST_PATHS: usize = 12;
+const MOST_PATHS: usize = 12;
 
 const MEANING: &str = "Errors are distances of the true rear axle from the path. A drive ends at the first touch of a wall, or when the car \
     has not come on for 10 s. Pose: RMS distance of the poses from the truth at their stamps. Late: answers later than their contract; with no contract, than the next scan. Age: of the pose when the \
     command acts, mean. cpu/lap: processor time of the estimator, other programs' apart.";
 
+impl Study<'_> {
+    /// Writes `report.html`, `figures.json` and the pictures.
+    pub fn write(&self, outcomes: &[Outcome], folder: &Path) -> Result<(), DriveError> {
+        let file = |name: &str, bytes: &str| {
+            let path = folder.join(name);
+            output::write(&path, bytes).map_err(|problem| DriveError::File { path, problem })
+        };
+        fs::create_dir_all(folder).map_err(|problem| DriveError::File { path: folder.into(), problem })?;
+        let mut shown = Vec::new();
+        if self.loads.len() > 1 {
+            let svg = pictures::speed_against_load(outcomes)?;
+            file("speed_against_load.svg", &svg)?;
+            shown.push(("Highest speed without a crash, against load".to_owned(), svg));
+        }
+        for (number, outcome) in (1..).zip(outcomes).take(MOST_PATHS) {
+            for run in outcome.runs.iter().filter(|run| !run.trace.is_empty()) {
+                let svg = pictures::path(self.course, run)?;
+                file(&format!("path_{number}_seed_{}.svg", run.seed), &svg)?;
+                shown.push((format!("{}, seed {}: {}", outcome.case, run.seed, run.ending_name()), svg));
+            }
+        }
+        file("figures.json", &format!("{:#}\n", self.to_json(outcomes)))?;
+        file("report.html", &report(self, outcomes, &shown))
+    }
+}
+
 /// The page, with pictures and their titles.
-pub(super) fn report(study: &Study, outcomes: &[Outcome], pictures: &[(String, String)]) -> String {
+fn report(study: &Study, outcomes: &[Outcome], pictures: &[(String, String)]) -> String {
     let fact = |(name, value): &(&str, String)| format!("<tr><td>{name}</td><td>{}</td></tr>\n", escaped(value));
     let facts = study.facts().iter().map(fact).collect::<Vec<_>>().concat();
     let mut page = format!(

@@ -1,7 +1,6 @@
 //! Many drives: every policy at every speed and load, with as many seeds as asked for.
 
-use std::fs;
-use std::path::{Path as FilePath, PathBuf};
+use std::path::PathBuf;
 
 use comfy_table::presets;
 use serde_json::{Value, json};
@@ -12,11 +11,10 @@ use super::figures::{Figures, Run, endings};
 use super::flaws::FlawKnobs;
 use super::processor::Load;
 use super::replanning::Replanning;
-use super::{DriveError, EstimatorKind, costs, page, pictures, profiling};
+use super::{DriveError, EstimatorKind, costs, profiling};
 use crate::config::Config;
 use crate::control::follower::FollowerKnobs;
 use crate::control::policy::{Policy, Table};
-use crate::output;
 use crate::parallel;
 use crate::simulation::lidar::LidarKnobs;
 use crate::simulation::odometer::OdometerKnobs;
@@ -175,30 +173,6 @@ impl Study<'_> {
             ),
             ("program", format!("anytime_scan_matcher {}", env!("CARGO_PKG_VERSION"))),
         ]
-    }
-
-    /// Writes `report.html`, `figures.json` and the pictures.
-    pub fn write(&self, outcomes: &[Outcome], folder: &FilePath) -> Result<(), DriveError> {
-        let file = |name: &str, bytes: &str| {
-            let path = folder.join(name);
-            output::write(&path, bytes).map_err(|problem| DriveError::File { path, problem })
-        };
-        fs::create_dir_all(folder).map_err(|problem| DriveError::File { path: folder.into(), problem })?;
-        let mut shown = Vec::new();
-        if self.loads.len() > 1 {
-            let svg = pictures::speed_against_load(outcomes)?;
-            file("speed_against_load.svg", &svg)?;
-            shown.push(("Highest speed without a crash, against load".to_owned(), svg));
-        }
-        for (number, outcome) in (1..).zip(outcomes).take(page::MOST_PATHS) {
-            for run in outcome.runs.iter().filter(|run| !run.trace.is_empty()) {
-                let svg = pictures::path(self.course, run)?;
-                file(&format!("path_{number}_seed_{}.svg", run.seed), &svg)?;
-                shown.push((format!("{}, seed {}: {}", outcome.case, run.seed, run.ending_name()), svg));
-            }
-        }
-        file("figures.json", &format!("{:#}\n", self.to_json(outcomes)))?;
-        file("report.html", &page::report(self, outcomes, &shown))
     }
 
     /// For machines.

@@ -14,10 +14,10 @@ use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::statistics::percentile;
 use crate::geometry::{Point, Pose2, RigidTransform, perpendicular};
 use crate::map::distance::DistanceField;
 use crate::map::grid::{Cell, OccupancyGrid};
+use crate::quantile;
 
 /// Farther off than this is a mistake, m.
 pub const FAR: f64 = 0.1;
@@ -48,7 +48,7 @@ impl Distances {
         Some(Self {
             count,
             mean_m: distances.iter().sum::<f64>() / count as f64,
-            p95_m: percentile(&distances, 95)?,
+            p95_m: quantile::of_sorted(&distances, 0.95)?,
             over_10_cm: distances.iter().filter(|&&distance| distance > FAR).count() as f64 / count as f64,
         })
     }

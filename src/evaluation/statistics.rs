@@ -37,11 +37,6 @@ impl Statistics {
     }
 }
 
-/// The value at a percentile of sorted values: the least one that so many percent do not exceed; `None` when there are none.
-pub fn percentile<T: Copy>(sorted: &[T], percent: usize) -> Option<T> {
-    sorted.get((sorted.len() * percent).div_ceil(100).saturating_sub(1)).copied()
-}
-
 /// Statistics of the errors of poses.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PoseErrors {
@@ -74,13 +69,6 @@ mod tests {
         let s = Statistics::of(vec![3.0, 1.0, 2.0]).unwrap();
         assert_eq!((s.mean, s.std, s.median, s.max), (2.0, 1.0, 2.0, 3.0));
         assert!((s.rmse - (14.0_f64 / 3.0).sqrt()).abs() < 1e-15);
-    }
-
-    #[test]
-    fn percentiles_are_values_that_were_there() {
-        let values: Vec<u32> = (1..=200).collect();
-        assert_eq!([0, 50, 99, 100].map(|percent| percentile(&values, percent)), [1, 100, 198, 200].map(Some));
-        assert_eq!((percentile(&[7], 1), percentile::<f64>(&[], 50)), (Some(7), None));
     }
 
     #[test]

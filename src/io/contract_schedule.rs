@@ -23,7 +23,7 @@ pub enum ScheduleError {
         /// What is wrong, with its line.
         problem: csv::Error,
     },
-    /// A contract is none.
+    /// An invalid contract.
     #[error("{}: line {line}: {problem}", path.display())]
     Contract {
         /// The file.

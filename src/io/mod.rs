@@ -4,6 +4,7 @@ pub mod bag;
 pub mod carmen;
 pub mod contract_schedule;
 pub mod cost_file;
+pub mod csv_file;
 pub mod gray_image;
 pub mod map_file;
 pub mod map_files;

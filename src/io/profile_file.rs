@@ -88,7 +88,7 @@ pub struct ExpectedError {
     pub orientation_p95_rad: f64,
 }
 
-/// Why a profile is of no use.
+/// Why a profile is unusable.
 #[derive(Debug, Error)]
 pub enum ProfileFileError {
     /// The file cannot be read.
@@ -107,7 +107,7 @@ pub enum ProfileFileError {
         /// What does not fit.
         problem: String,
     },
-    /// The profile says nothing of this variant.
+    /// The profile does not have this variant.
     #[error("the profile has no variant '{name}'{hint}; it has: {known}")]
     NoSuchVariant {
         /// The variant asked for.

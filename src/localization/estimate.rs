@@ -1,18 +1,67 @@
-//! One pose out of many: the mean of the heaviest cluster.
+//! What the particles lead to believe: one pose out of many, the mean of the heaviest cluster.
 
 use std::collections::HashMap;
 
-use super::filter::Belief;
+use super::agreement::LEAST;
 use super::model::Model;
 use super::particles::{Particles, effective_number};
+use crate::anytime::mode::Conditions;
 use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 
+/// Standard deviation of the position within which the robot knows where it is, m,
+const LOCALIZED: f64 = 0.3;
+/// if the cluster has this part of the weight.
+const LOCALIZED_SHARE: f64 = 0.9;
 /// A cloud wider than this (standard deviation, m) may be several.
 const COMPACT: f64 = 0.5;
 /// Side of the bins in which the heaviest cluster is looked for: m, rad.
 const BIN: (f32, f32) = (0.5, 0.35);
 /// Particles this near belong to it: m, rad.
 const CLUSTER: (f32, f32) = (1.0, 0.6);
+
+/// What the filter believes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Belief {
+    /// Where the robot is.
+    pub map_from_base: Pose2,
+    /// How sure that is, in the map frame.
+    pub covariance: PoseCovariance,
+    /// Part of the weight that agrees with it.
+    pub share: f64,
+    /// Number of particles.
+    pub particles: usize,
+    /// How many particles of equal weight would say as much.
+    pub effective: f64,
+    /// Beams of the last scan that have been taken in.
+    pub beams: usize,
+    /// Likelihood of these, per beam.
+    pub fit: f64,
+    /// Part of the beams that the map explains at this pose.
+    pub explained: f64,
+    /// Whether the robot is still looked for: it may be elsewhere.
+    pub is_sought: bool,
+}
+
+impl Belief {
+    /// The least mean of [`Self::explained`] with which a map can be the right one.
+    pub const LEAST_EXPLAINED: f64 = LEAST;
+
+    /// What the last scan was like.
+    pub fn conditions(&self) -> Conditions {
+        let agreement = if self.beams > 0 { self.explained } else { f64::NAN };
+        Conditions { agreement, rays: f64::NAN, condition_number: f64::NAN }
+    }
+
+    /// Whether the robot knows where it is.
+    pub fn is_localized(&self) -> bool {
+        !self.is_sought && self.share > LOCALIZED_SHARE && self.is_compact()
+    }
+
+    /// Whether the pose is one place.
+    pub(super) fn is_compact(&self) -> bool {
+        (self.covariance.m11 + self.covariance.m22).sqrt() < LOCALIZED
+    }
+}
 
 /// The estimate in the grid: cells and rad.
 struct Mean {

@@ -7,7 +7,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::LocalizationKnobs;
 use super::agreement::{Agreement, DECIDED, LEAST};
 use super::calibration::Calibration;
-use super::estimate;
+use super::estimate::{self, Belief};
 use super::evidence::Evidence;
 use super::model::Model;
 use super::motion::{MotionKnobs, UncertainMotion};
@@ -17,66 +17,22 @@ use super::resampling::{kld_count, low_variance};
 use super::search::Search;
 use super::sensor::SensorKnobs;
 use super::streams::Streams;
-use super::update::{Searching, Update, particles_for};
-use crate::anytime::Driver;
-use crate::anytime::mode::Conditions;
+use super::update::{Searching, particles_for};
+use crate::anytime::contract::Contract;
+use crate::anytime::cost_model::Phase;
+use crate::anytime::{Driver, ErrorEstimate, Outlook, Work};
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::map::grid::OccupancyGrid;
 use crate::matching::StopReason;
 use crate::raycasting::Fan;
 
-/// Standard deviation of the position within which the robot knows where it is, m,
-const LOCALIZED: f64 = 0.3;
-/// if the cluster has this part of the weight.
-const LOCALIZED_SHARE: f64 = 0.9;
 /// Two poses this near to each other, m and rad, are of one place.
 const SAME_PLACE: (f64, f64) = (1.0, 0.6);
 /// Time between two scans if it is not known, s.
 const PERIOD: f64 = 0.025;
 
-/// What the filter believes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Belief {
-    /// Where the robot is.
-    pub map_from_base: Pose2,
-    /// How sure that is, in the map frame.
-    pub covariance: PoseCovariance,
-    /// Part of the weight that agrees with it.
-    pub share: f64,
-    /// Number of particles.
-    pub particles: usize,
-    /// How many particles of equal weight would say as much.
-    pub effective: f64,
-    /// Beams of the last scan that have been taken in.
-    pub beams: usize,
-    /// Likelihood of these, per beam.
-    pub fit: f64,
-    /// Part of the beams that the map explains at this pose.
-    pub explained: f64,
-    /// Whether the robot is still looked for: it may be elsewhere.
-    pub is_sought: bool,
-}
-
-impl Belief {
-    /// The least mean of [`Self::explained`] with which a map can be the right one.
-    pub const LEAST_EXPLAINED: f64 = LEAST;
-
-    /// What the last scan was like.
-    pub fn conditions(&self) -> Conditions {
-        let agreement = if self.beams > 0 { self.explained } else { f64::NAN };
-        Conditions { agreement, rays: f64::NAN, condition_number: f64::NAN }
-    }
-
-    /// Whether the robot knows where it is.
-    pub fn is_localized(&self) -> bool {
-        !self.is_sought && self.share > LOCALIZED_SHARE && self.is_compact()
-    }
-
-    /// Whether the pose is one place.
-    pub(super) fn is_compact(&self) -> bool {
-        (self.covariance.m11 + self.covariance.m22).sqrt() < LOCALIZED
-    }
-}
+/// With fewer beams than this, a small covariance would be luck.
+const FEWEST_BEAMS: usize = 8;
 
 /// A particle filter on one map.
 pub struct ParticleFilter {
@@ -409,5 +365,46 @@ impl ParticleFilter {
             let [x, y, theta] = particles.pose(index).map(f64::from);
             self.model.grid.pose_in_map(&Pose2::new(x, y, theta))
         })
+    }
+}
+
+/// Taking in a scan.
+struct Update<'a> {
+    filter: &'a mut ParticleFilter,
+    /// Whether it begins here, or goes on after an answer.
+    is_first: bool,
+}
+
+impl Work for Update<'_> {
+    /// Iterations in beams of all particles, all else in particles.
+    fn size(&self, phase: Phase) -> usize {
+        let particles = self.filter.len();
+        match phase {
+            Phase::Setup => {
+                if self.is_first {
+                    particles
+                } else {
+                    0
+                }
+            }
+            Phase::Iteration => particles * self.filter.next_beams(),
+            Phase::Closing => particles,
+        }
+    }
+
+    /// The particles have been moved already: [`particles_for`] came before that. How many beams there is time for shows.
+    fn plan(&mut self, _outlook: &Outlook) {}
+
+    fn step(&mut self) -> Option<StopReason> {
+        self.filter.weigh_next_beams();
+        (self.filter.next_beams() == 0).then_some(StopReason::Converged)
+    }
+
+    fn is_good_enough(&mut self, contract: &Contract) -> bool {
+        self.filter.weighed_beams() >= FEWEST_BEAMS && {
+            let belief = self.filter.believe();
+            let error = ErrorEstimate::of_covariance(&belief.covariance);
+            belief.is_localized() && contract.is_satisfied_by(error.translation, error.rotation)
+        }
     }
 }

@@ -7,7 +7,7 @@
 
 mod agreement;
 mod calibration;
-mod estimate;
+pub mod estimate;
 mod evidence;
 pub mod filter;
 mod model;

@@ -8,9 +8,8 @@ use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::agreement::FOUND;
-use super::estimate;
+use super::estimate::{self, Belief};
 use super::evidence::{fit, posterior};
-use super::filter::Belief;
 use super::model::Model;
 use super::motion::UncertainMotion;
 use super::observation::Observation;

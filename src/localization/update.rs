@@ -1,62 +1,17 @@
-//! An update as work that can be stopped: particles and beams that fit into the time there is.
+//! Particles and beams that fit into the time there is; the search as work that can be stopped.
 
-use super::filter::ParticleFilter;
 use super::model::Model;
 use super::search::Search;
 use super::streams::Streams;
 use crate::anytime::contract::Contract;
 use crate::anytime::cost_model::Phase;
-use crate::anytime::{ErrorEstimate, Outlook, Work};
+use crate::anytime::{Outlook, Work};
 use crate::matching::StopReason;
 
 /// Of the beams wanted this part is to be cast; rather than fewer, particles are given up.
 const LEAST_BEAMS: f64 = 0.25;
 /// Fewer particles than this are no cloud.
 const FEWEST_PARTICLES: usize = 100;
-/// With fewer beams than this, a small covariance would be luck.
-const FEWEST_BEAMS: usize = 8;
-
-/// Taking in a scan.
-pub(super) struct Update<'a> {
-    pub(super) filter: &'a mut ParticleFilter,
-    /// Whether it begins here, or goes on after an answer.
-    pub(super) is_first: bool,
-}
-
-impl Work for Update<'_> {
-    /// Iterations in beams of all particles, all else in particles.
-    fn size(&self, phase: Phase) -> usize {
-        let particles = self.filter.len();
-        match phase {
-            Phase::Setup => {
-                if self.is_first {
-                    particles
-                } else {
-                    0
-                }
-            }
-            Phase::Iteration => particles * self.filter.next_beams(),
-            Phase::Closing => particles,
-        }
-    }
-
-    /// The particles have been moved already: [`particles_for`] came before that. How many beams there is time for shows.
-    fn plan(&mut self, _outlook: &Outlook) {}
-
-    fn step(&mut self) -> Option<StopReason> {
-        self.filter.weigh_next_beams();
-        (self.filter.next_beams() == 0).then_some(StopReason::Converged)
-    }
-
-    fn is_good_enough(&mut self, contract: &Contract) -> bool {
-        self.filter.weighed_beams() >= FEWEST_BEAMS && {
-            let belief = self.filter.believe();
-            let error = ErrorEstimate::of_covariance(&belief.covariance);
-            belief.is_localized() && contract.is_satisfied_by(error.translation, error.rotation)
-        }
-    }
-}
-
 /// Looking for the robot all over the map, after an answer: bounded in itself, and in whole steps. The costs of these are not those of
 /// following it, and nothing is planned by them.
 pub(super) struct Searching<'a> {

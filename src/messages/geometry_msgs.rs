@@ -1,44 +1,31 @@
 //! `geometry_msgs`.
 
-#![allow(missing_docs)] // the fields are those of the definitions under msg/
+use super::definition::messages;
+use super::std_msgs::Header;
+use crate::geometry::{Pose2, PoseCovariance, Twist2};
 
-use speedy::{Readable, Writable};
+/// Of x, y, z, roll, pitch and yaw, row by row.
+pub type Covariance = [[f64; 6]; 6];
 
-use super::Message;
-use crate::geometry::Pose2;
+/// Places of x, y and yaw in a covariance.
+const PLANE: [usize; 3] = [0, 1, 5];
 
-/// `geometry_msgs/Point`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct Point {
-    pub x: f64,
-    pub y: f64,
-    pub z: f64,
-}
-
-/// `geometry_msgs/PointStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct PointStamped {
-    pub header: super::std_msgs::Header,
-    pub point: Point,
-}
-
-impl Message for PointStamped {
-    const TYPE: &'static str = "geometry_msgs/PointStamped";
-    const MD5: &'static str = "c63aecb41bfdfd6b7e1fac37c7cbe7bf";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/PointStamped", include_str!("../../msg/geometry_msgs/msg/PointStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
-    ];
-}
-
-/// `geometry_msgs/Quaternion`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct Quaternion {
-    pub x: f64,
-    pub y: f64,
-    pub z: f64,
-    pub w: f64,
+messages! { "geometry_msgs":
+    Point { x: f64, y: f64, z: f64 }
+    PointStamped { header: Header, point: Point }
+    Quaternion { x: f64, y: f64, z: f64, w: f64 }
+    Vector3 { x: f64, y: f64, z: f64 }
+    Pose { position: Point, orientation: Quaternion }
+    Pose2D { x: f64, y: f64, theta: f64 }
+    PoseArray { header: Header, poses: Vec<Pose> }
+    PoseStamped { header: Header, pose: Pose }
+    PoseWithCovariance { pose: Pose, covariance: Covariance }
+    PoseWithCovarianceStamped { header: Header, pose: PoseWithCovariance }
+    Twist { linear: Vector3, angular: Vector3 }
+    TwistStamped { header: Header, twist: Twist }
+    TwistWithCovariance { twist: Twist, covariance: Covariance }
+    Transform { translation: Vector3, rotation: Quaternion }
+    TransformStamped { header: Header, child_frame_id: String, transform: Transform }
 }
 
 impl Quaternion {
@@ -60,131 +47,10 @@ impl Quaternion {
     }
 }
 
-/// `geometry_msgs/Vector3`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct Vector3 {
-    pub x: f64,
-    pub y: f64,
-    pub z: f64,
-}
-
-/// `geometry_msgs/Pose`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct Pose {
-    pub position: Point,
-    pub orientation: Quaternion,
-}
-
 impl From<Pose2> for Pose {
     fn from(pose: Pose2) -> Self {
         Self { position: Point { x: pose.x, y: pose.y, z: 0.0 }, orientation: Quaternion::from_yaw(pose.theta) }
     }
-}
-
-/// `geometry_msgs/PoseStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct PoseStamped {
-    pub header: super::std_msgs::Header,
-    pub pose: Pose,
-}
-
-impl Message for PoseStamped {
-    const TYPE: &'static str = "geometry_msgs/PoseStamped";
-    const MD5: &'static str = "d3812c3cbc69362b77dc0b19b345f8f5";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/PoseStamped", include_str!("../../msg/geometry_msgs/msg/PoseStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/Pose", include_str!("../../msg/geometry_msgs/msg/Pose.msg")),
-        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
-        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
-    ];
-}
-
-/// `geometry_msgs/PoseWithCovariance`.
-#[derive(Clone, Debug, PartialEq, Readable, Writable)]
-pub struct PoseWithCovariance {
-    pub pose: Pose,
-    pub covariance: [f64; 36],
-}
-
-impl Default for PoseWithCovariance {
-    fn default() -> Self {
-        Self { pose: Pose::default(), covariance: [0.0; 36] }
-    }
-}
-
-/// `geometry_msgs/PoseWithCovarianceStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct PoseWithCovarianceStamped {
-    pub header: super::std_msgs::Header,
-    pub pose: PoseWithCovariance,
-}
-
-impl Message for PoseWithCovarianceStamped {
-    const TYPE: &'static str = "geometry_msgs/PoseWithCovarianceStamped";
-    const MD5: &'static str = "953b798c0f514ff060a53a3498ce6246";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/PoseWithCovarianceStamped", include_str!("../../msg/geometry_msgs/msg/PoseWithCovarianceStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/PoseWithCovariance", include_str!("../../msg/geometry_msgs/msg/PoseWithCovariance.msg")),
-        ("geometry_msgs/Pose", include_str!("../../msg/geometry_msgs/msg/Pose.msg")),
-        ("geometry_msgs/Point", include_str!("../../msg/geometry_msgs/msg/Point.msg")),
-        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
-    ];
-}
-
-/// `geometry_msgs/Twist`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct Twist {
-    pub linear: Vector3,
-    pub angular: Vector3,
-}
-
-impl Message for Twist {
-    const TYPE: &'static str = "geometry_msgs/Twist";
-    const MD5: &'static str = "9f195f881246fdfa2798d1d3eebca84a";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/Twist", include_str!("../../msg/geometry_msgs/msg/Twist.msg")),
-        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
-    ];
-}
-
-/// `geometry_msgs/TwistStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct TwistStamped {
-    pub header: super::std_msgs::Header,
-    pub twist: Twist,
-}
-
-impl Message for TwistStamped {
-    const TYPE: &'static str = "geometry_msgs/TwistStamped";
-    const MD5: &'static str = "98d34b0043a2093cf9d9345ab6eef12e";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/TwistStamped", include_str!("../../msg/geometry_msgs/msg/TwistStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/Twist", include_str!("../../msg/geometry_msgs/msg/Twist.msg")),
-        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
-    ];
-}
-
-/// `geometry_msgs/TwistWithCovariance`.
-#[derive(Clone, Debug, PartialEq, Readable, Writable)]
-pub struct TwistWithCovariance {
-    pub twist: Twist,
-    pub covariance: [f64; 36],
-}
-
-impl Default for TwistWithCovariance {
-    fn default() -> Self {
-        Self { twist: Twist::default(), covariance: [0.0; 36] }
-    }
-}
-
-/// `geometry_msgs/Transform`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct Transform {
-    pub translation: Vector3,
-    pub rotation: Quaternion,
 }
 
 impl From<Pose2> for Transform {
@@ -193,22 +59,27 @@ impl From<Pose2> for Transform {
     }
 }
 
-/// `geometry_msgs/TransformStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct TransformStamped {
-    pub header: super::std_msgs::Header,
-    pub child_frame_id: String,
-    pub transform: Transform,
+impl From<Twist2> for Twist {
+    fn from(twist: Twist2) -> Self {
+        Self { linear: Vector3 { x: twist.vx, y: twist.vy, z: 0.0 }, angular: Vector3 { x: 0.0, y: 0.0, z: twist.omega } }
+    }
 }
 
-impl Message for TransformStamped {
-    const TYPE: &'static str = "geometry_msgs/TransformStamped";
-    const MD5: &'static str = "b5764a33bfeb3588febc2682852579b0";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("geometry_msgs/TransformStamped", include_str!("../../msg/geometry_msgs/msg/TransformStamped.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-        ("geometry_msgs/Transform", include_str!("../../msg/geometry_msgs/msg/Transform.msg")),
-        ("geometry_msgs/Vector3", include_str!("../../msg/geometry_msgs/msg/Vector3.msg")),
-        ("geometry_msgs/Quaternion", include_str!("../../msg/geometry_msgs/msg/Quaternion.msg")),
-    ];
+/// What a covariance says of x, y and yaw.
+pub fn planar_covariance(full: &Covariance) -> PoseCovariance {
+    PoseCovariance::from_fn(|row, column| full[PLANE[row]][PLANE[column]])
+}
+
+/// A covariance of x, y and yaw, with this variance of height, roll and pitch, m^2 and rad^2.
+pub fn full_covariance(planar: &PoseCovariance, unobserved: f64) -> Covariance {
+    let mut full = Covariance::default();
+    for i in [2, 3, 4] {
+        full[i][i] = unobserved;
+    }
+    for (row, place) in PLANE.into_iter().enumerate() {
+        for (column, other) in PLANE.into_iter().enumerate() {
+            full[place][other] = planar[(row, column)];
+        }
+    }
+    full
 }

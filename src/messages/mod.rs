@@ -1,43 +1,64 @@
 //! The ROS messages this project reads and writes, and their wire form.
 //!
 //! One set of types serves bags and live connections alike, with or without the `ros` feature, so that both go through the same
-//! length-checked decoder. Field names are those of the definitions under `msg/`.
+//! length-checked decoder. Field names are those of the message definitions.
 
 pub mod ackermann_msgs;
+mod definition;
+pub mod diagnostic_msgs;
 pub mod geometry_msgs;
 pub mod nav_msgs;
 pub mod own;
 pub mod sensor_msgs;
 pub mod std_msgs;
 pub mod tf2_msgs;
-
-use std::fmt::Write as _;
+pub mod visualization_msgs;
 
 use speedy::{LittleEndian, Readable, Writable};
 use thiserror::Error;
 
+pub use definition::Definition;
+
 use crate::time::Stamp;
+
+/// Every message type, by package.
+const TYPES: &[&[(&str, &str)]] = &[
+    ackermann_msgs::TYPES,
+    diagnostic_msgs::TYPES,
+    geometry_msgs::TYPES,
+    nav_msgs::TYPES,
+    own::TYPES,
+    sensor_msgs::TYPES,
+    std_msgs::TYPES,
+    tf2_msgs::TYPES,
+    visualization_msgs::TYPES,
+];
+
+/// Name of a type, and of each field type and name.
+#[cfg(test)]
+type Fields = (&'static str, &'static [(&'static str, &'static str)]);
+
+/// The fields of every type, by package.
+#[cfg(test)]
+const FIELDS: &[&[Fields]] = &[
+    ackermann_msgs::FIELDS,
+    diagnostic_msgs::FIELDS,
+    geometry_msgs::FIELDS,
+    nav_msgs::FIELDS,
+    own::FIELDS,
+    sensor_msgs::FIELDS,
+    std_msgs::FIELDS,
+    tf2_msgs::FIELDS,
+    visualization_msgs::FIELDS,
+];
 
 /// A message type as bags and connections name it.
 pub trait Message: for<'a> Readable<'a, LittleEndian> + Writable<LittleEndian> {
     /// `package/Name`.
     const TYPE: &'static str;
-    /// Checksum of the definition, as ROS computes it.
-    const MD5: &'static str;
-    /// Type and text of the definition and of every type it is made of, itself first.
-    const DEFINITIONS: &'static [(&'static str, &'static str)];
 
-    /// The full definition as connections and bags carry it: the message's own text, then that of each type it is made of.
-    fn full_definition() -> String {
-        let mut text = String::new();
-        for (i, (name, definition)) in Self::DEFINITIONS.iter().enumerate() {
-            if i > 0 {
-                let _ = writeln!(text, "\n{}\nMSG: {name}", "=".repeat(80));
-            }
-            text.push_str(definition);
-        }
-        text
-    }
+    /// Its definition, in full, and the checksum.
+    fn definition() -> &'static Definition;
 }
 
 /// Bytes that are no message of the type they were said to be.
@@ -101,6 +122,13 @@ impl From<Stamp> for Time {
 pub struct Duration {
     pub sec: i32,
     pub nsec: i32,
+}
+
+/// A span that is too long is cut.
+impl From<std::time::Duration> for Duration {
+    fn from(span: std::time::Duration) -> Self {
+        Self { sec: i32::try_from(span.as_secs()).unwrap_or(i32::MAX), nsec: span.subsec_nanos().cast_signed() }
+    }
 }
 
 impl Duration {

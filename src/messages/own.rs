@@ -1,134 +1,93 @@
 //! `anytime_scan_matcher`: the messages this project defines.
 
-#![allow(missing_docs)] // the fields are those of the definitions under msg/
+use super::Duration;
+use super::definition::messages;
+use super::std_msgs::Header;
 
-use speedy::{Readable, Writable};
-
-use super::Message;
-
-/// `anytime_scan_matcher/Contract`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct Contract {
-    pub header: super::std_msgs::Header,
-    pub time_budget: super::Duration,
-    pub translation_error_bound: f64,
-    pub rotation_error_bound: f64,
+messages! { "anytime_scan_matcher":
+    Contract { header: Header, time_budget: Duration, translation_error_bound: f64, rotation_error_bound: f64 }
+    MatchReport {
+        header: Header,
+        outcome: u8,
+        ok: bool,
+        stop_reason: String,
+        failure: String,
+        reason: String,
+        time_budget: Duration,
+        translation_error_bound: f64,
+        rotation_error_bound: f64,
+        elapsed: Duration,
+        deadline_met: bool,
+        overrun: Duration,
+        translation_error_excess: f64,
+        rotation_error_excess: f64,
+        expected_translation_error: f64,
+        expected_translation_error_p95: f64,
+        expected_rotation_error: f64,
+        expected_rotation_error_p95: f64,
+        outside_profile: String,
+        iterations: u32,
+        rays: u32,
+        rays_used: u32,
+        correspondences: u32,
+        inliers: u32,
+        mean_residual: f64,
+        inlier_ratio: f64,
+        predicted_translation_error: f64,
+        predicted_rotation_error: f64,
+        translation_error: f64,
+        rotation_error: f64,
+        condition_number: f64,
+        free_direction: f64,
+        disbelieved: String,
+        new_keyframe: bool,
+        keyframes: u32,
+        closed_loops: u32,
+        dropped: u32,
+    }
+    FilterReport {
+        header: Header,
+        ok: bool,
+        failure: String,
+        reason: String,
+        stop_reason: String,
+        time_budget: Duration,
+        translation_error_bound: f64,
+        rotation_error_bound: f64,
+        elapsed: Duration,
+        deadline_met: bool,
+        overrun: Duration,
+        localized: bool,
+        particles: u32,
+        effective: f64,
+        beams: u32,
+        fit: f64,
+        explained: f64,
+        share: f64,
+        translation_error: f64,
+        rotation_error: f64,
+        dropped: u32,
+    }
+    FollowerReport {
+        header: Header,
+        driving: bool,
+        stop_reason: String,
+        reason: String,
+        lateral_error: f64,
+        heading_error: f64,
+        progress: f64,
+        remaining: f64,
+        speed: f64,
+        steering_angle: f64,
+        lookahead: f64,
+        pose_age: f64,
+        path_age: f64,
+    }
 }
 
-impl Message for Contract {
-    const TYPE: &'static str = "anytime_scan_matcher/Contract";
-    const MD5: &'static str = "ec3f14ad03e5846fa3616163a5021ea8";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("anytime_scan_matcher/Contract", include_str!("../../msg/anytime_scan_matcher/msg/Contract.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-    ];
-}
-
-/// `anytime_scan_matcher/MatchReport`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct MatchReport {
-    pub header: super::std_msgs::Header,
-    pub outcome: u8,
-    pub ok: bool,
-    pub stop_reason: String,
-    pub reason: String,
-    pub time_budget: super::Duration,
-    pub translation_error_bound: f64,
-    pub rotation_error_bound: f64,
-    pub elapsed: super::Duration,
-    pub deadline_met: bool,
-    pub overrun: super::Duration,
-    pub translation_error_excess: f64,
-    pub rotation_error_excess: f64,
-    pub expected_translation_error: f64,
-    pub expected_translation_error_p95: f64,
-    pub expected_rotation_error: f64,
-    pub expected_rotation_error_p95: f64,
-    pub outside_profile: String,
-    pub iterations: u32,
-    pub rays: u32,
-    pub rays_used: u32,
-    pub correspondences: u32,
-    pub inliers: u32,
-    pub mean_residual: f64,
-    pub inlier_ratio: f64,
-    pub predicted_translation_error: f64,
-    pub predicted_rotation_error: f64,
-    pub translation_error: f64,
-    pub rotation_error: f64,
-    pub condition_number: f64,
-    pub free_direction: f64,
-    pub disbelieved: String,
-    pub new_keyframe: bool,
-    pub keyframes: u32,
-    pub closed_loops: u32,
-    pub dropped: u32,
-}
-
-impl Message for MatchReport {
-    const TYPE: &'static str = "anytime_scan_matcher/MatchReport";
-    const MD5: &'static str = "29ee1f66cd37763f031e10d5f57002a5";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("anytime_scan_matcher/MatchReport", include_str!("../../msg/anytime_scan_matcher/msg/MatchReport.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-    ];
-}
-
-/// `anytime_scan_matcher/FilterReport`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct FilterReport {
-    pub header: super::std_msgs::Header,
-    pub ok: bool,
-    pub reason: String,
-    pub stop_reason: String,
-    pub time_budget: super::Duration,
-    pub translation_error_bound: f64,
-    pub rotation_error_bound: f64,
-    pub elapsed: super::Duration,
-    pub deadline_met: bool,
-    pub overrun: super::Duration,
-    pub localized: bool,
-    pub particles: u32,
-    pub effective: f64,
-    pub beams: u32,
-    pub fit: f64,
-    pub share: f64,
-    pub translation_error: f64,
-    pub rotation_error: f64,
-    pub dropped: u32,
-}
-
-impl Message for FilterReport {
-    const TYPE: &'static str = "anytime_scan_matcher/FilterReport";
-    const MD5: &'static str = "0cad528a8fe8ab41dd259f1f0c003eb5";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("anytime_scan_matcher/FilterReport", include_str!("../../msg/anytime_scan_matcher/msg/FilterReport.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-    ];
-}
-
-/// `anytime_scan_matcher/FollowerReport`.
-#[derive(Clone, Debug, Default, PartialEq, Readable, Writable)]
-pub struct FollowerReport {
-    pub header: super::std_msgs::Header,
-    pub driving: bool,
-    pub reason: String,
-    pub lateral_error: f64,
-    pub heading_error: f64,
-    pub progress: f64,
-    pub remaining: f64,
-    pub speed: f64,
-    pub steering_angle: f64,
-    pub lookahead: f64,
-    pub pose_age: f64,
-    pub path_age: f64,
-}
-
-impl Message for FollowerReport {
-    const TYPE: &'static str = "anytime_scan_matcher/FollowerReport";
-    const MD5: &'static str = "b97d3391119f22026f8e1b5be740b101";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[
-        ("anytime_scan_matcher/FollowerReport", include_str!("../../msg/anytime_scan_matcher/msg/FollowerReport.msg")),
-        ("std_msgs/Header", include_str!("../../msg/std_msgs/msg/Header.msg")),
-    ];
+#[allow(missing_docs)] // values of `outcome`, named as in the definition
+impl MatchReport {
+    pub const MATCHED: u8 = 0;
+    pub const PREDICTED: u8 = 1;
+    pub const FIRST: u8 = 2;
 }

@@ -1,12 +1,10 @@
 //! A scan that is to be matched: what is known of its pose beforehand.
 
-use nalgebra::Vector3;
-
-use super::local_map::Placement;
 use super::motion_state::MotionState;
-use super::source_noise::SourceNoise;
+use super::placement::Placement;
+use super::prediction::Prediction;
 use super::uncertainty;
-use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
+use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::matching::{Prior, SearchWindow};
 use crate::time::Stamp;
 
@@ -29,37 +27,8 @@ pub(super) struct Last {
     pub(super) mean_twist: Twist2,
     /// The velocity that is believed in, and what is known of it.
     pub(super) motion: MotionState,
-}
-
-/// A motion of the base that is expected, seen from its start.
-#[derive(Clone, Copy)]
-pub(super) struct Prediction {
-    /// The motion.
-    pub(super) motion: Pose2,
-    /// Its covariance.
-    pub(super) covariance: PoseCovariance,
-}
-
-impl Prediction {
-    /// None.
-    pub(super) const NONE: Self =
-        Self { motion: Pose2::IDENTITY, covariance: PoseCovariance::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) };
-
-    /// With the noise that was learned of its source.
-    pub(super) fn with_noise(&self, noise: SourceNoise) -> Self {
-        Self { covariance: self.covariance * noise.factor(), ..*self }
-    }
-
-    /// What is known when another source says something of the same motion, with errors of its own (the Kalman filter's update).
-    pub(super) fn and(&self, other: &Self) -> Self {
-        let sum = self.covariance + other.covariance;
-        let Some(information) = sum.try_inverse() else { return *self };
-        let gain = self.covariance * information;
-        let (a, b) = (self.motion, other.motion);
-        let change = gain * Vector3::new(b.x - a.x, b.y - a.y, wrap_angle(b.theta - a.theta));
-        let motion = Pose2::new(a.x + change.x, a.y + change.y, wrap_angle(a.theta + change.z));
-        Self { motion, covariance: self.covariance - gain * self.covariance }
-    }
+    /// A scan after it could not be matched, and has changed nothing of what the next one starts from.
+    pub(super) passed_over: bool,
 }
 
 /// A scan to be matched.
@@ -75,6 +44,8 @@ pub(super) struct Attempt {
     pub(super) said: Option<Prediction>,
     /// What the IMU says of its turn, believed or not, rad, and the standard deviation.
     pub(super) said_turn: Option<(f64, f64)>,
+    /// Odometry that says more of that motion is on its way.
+    pub(super) awaits_odometry: bool,
     /// Place of the laser on the base.
     pub(super) base_from_laser: Pose2,
 }

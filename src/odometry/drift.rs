@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::local_map::Placement;
+use super::placement::Placement;
 use crate::geometry::{Pose2, wrap_angle};
 
 /// Levers turn with the path: so many times the errors are found anew. Of a drift of a metre and 0.1 rad less than a millimetre is left.

@@ -8,8 +8,9 @@ use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
+use super::placement::Placement;
 use super::{drift, uncertainty};
-use crate::geometry::{Pose2, PoseCovariance};
+use crate::geometry::Pose2;
 use crate::matching::{COARSE_VIEWS, PlacedView, View};
 
 /// A turn by this much makes two views as different as a metre between them does, rad.
@@ -34,17 +35,6 @@ const LOST_WAY: f64 = 2.0 * SHORT_WAY;
 const LOST_ERROR: f64 = 1.0;
 /// ... and this, rad.
 const LOST_TURN: f64 = 0.3;
-
-/// Where a scan was taken.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Placement {
-    /// Pose of the laser.
-    pub(super) map_from_laser: Pose2,
-    /// Covariance of that pose, in the map frame.
-    pub(super) covariance: PoseCovariance,
-    /// What the last step of the way there adds to it.
-    pub(super) step_covariance: PoseCovariance,
-}
 
 /// A scan that others are matched to.
 #[derive(Clone, Debug)]
@@ -288,6 +278,7 @@ fn difference(map_from_laser: &Pose2, keyframe: &Keyframe) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::PoseCovariance;
     use crate::matching::rejection::RejectionKnobs;
     use crate::matching::{Matcher, MatchingKnobs};
     use crate::scan::{BeamGeometry, Scan};

@@ -12,6 +12,8 @@ mod lag;
 mod local_map;
 mod loop_closure;
 mod motion_state;
+mod placement;
+mod prediction;
 mod registration;
 mod set_pose;
 mod source_noise;
@@ -32,12 +34,14 @@ use crate::matching::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
 use crate::scan::Scan;
 use crate::time::{NEW_RUN, Stamp};
-use attempt::{Attempt, Last, Prediction};
+use attempt::{Attempt, Last};
 use clock_step::ClockStep;
 use heading::HeadingReading;
-use local_map::{LocalMap, Placement, Unrecognised};
+use local_map::{LocalMap, Unrecognised};
 use loop_closure::{LoopCloser, Recognition, Sighting};
 use motion_state::MotionState;
+use placement::Placement;
+use prediction::Prediction;
 pub use registration::{Disbelieved, Failure, FailureReason, MatchedPoints, Outcome, RefinementReport, Registration};
 use registration::{matched_points, report};
 use set_pose::SetPose;
@@ -658,6 +662,15 @@ impl LaserOdometry {
         self.counters.predicted += 1;
         let error = ErrorEstimate::of_covariance(covariance);
         let (map_from_base, pose_covariance) = attempt.predicted_base();
+        if is_lost
+            && attempt.awaits_odometry
+            && let Some(start) = &mut self.last
+            && !std::mem::replace(&mut start.passed_over, true)
+        {
+            // What comes says better how the robot has moved: the next scan starts from where this one did.
+            let twist = last.motion.expect(scan.stamp().seconds_since(last.stamp)).unseen().twist;
+            return Registration { refinement, ..self.passing(problem, map_from_base, &pose_covariance, (twist, error)) };
+        }
         let answer = Answer {
             outcome: Outcome::Predicted(problem),
             is_lost,
@@ -704,19 +717,28 @@ impl LaserOdometry {
                 seen_twist: twist,
                 mean_twist: twist,
                 motion: state,
+                passed_over: false,
             });
         }
-        Registration {
-            twist,
-            predicted_error: error,
-            estimated_error: error,
-            ..self.registration(Outcome::Predicted(problem), map_from_base, &covariance)
-        }
+        self.passing(problem, map_from_base, &covariance, (twist, error))
+    }
+
+    /// A prediction that the next scan does not start from.
+    fn passing(
+        &self,
+        problem: Failure,
+        map_from_base: Pose2,
+        covariance: &PoseCovariance,
+        (twist, error): (Twist2, ErrorEstimate),
+    ) -> Registration {
+        let answer = self.registration(Outcome::Predicted(problem), map_from_base, covariance);
+        Registration { twist, predicted_error: error, estimated_error: error, ..answer }
     }
 
     /// What is known of the pose of a scan taken at `stamp`: the base has gone on as it did, and moved as the odometry says, each as far
     /// as it has been right lately.
     fn attempt(&mut self, last: &Last, stamp: Stamp, base_from_laser: &Pose2) -> Attempt {
+        let awaits_odometry = self.awaits_odometry(stamp);
         self.waited_in_vain = self.sources.is_behind(stamp);
         let expected = last.motion.expect(stamp.seconds_since(last.stamp)).prediction();
         let said = self.sources.motion_without_imu(last.stamp, stamp);
@@ -728,7 +750,7 @@ impl LaserOdometry {
         let known = said.map_or(expected, fused);
         self.sources.believe_imu(!self.noise.imu.is_disbelieved());
         let prediction = self.sources.with_heading(&known, last.stamp, stamp);
-        Attempt { last: *last, prediction, expected, said, said_turn, base_from_laser: *base_from_laser }
+        Attempt { last: *last, prediction, expected, said, said_turn, awaits_odometry, base_from_laser: *base_from_laser }
     }
 
     fn count_disbelieved(&mut self, has_odometry: bool) {
@@ -792,6 +814,7 @@ impl LaserOdometry {
             seen_twist,
             mean_twist,
             motion,
+            passed_over: false,
         });
         Registration {
             twist: motion.twist,

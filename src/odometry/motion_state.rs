@@ -4,7 +4,7 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
-use super::attempt::Prediction;
+use super::prediction::Prediction;
 use super::uncertainty::{turn, turned, way_by_heading};
 use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
 

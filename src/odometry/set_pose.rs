@@ -4,8 +4,9 @@
 //! taken for it may still be of the old place. So its place as the reference is on probation. A scan that does not go on from it by any
 //! motion of a robot was taken at the new place: it becomes the reference instead, at the pose that was set.
 
-use super::attempt::{Attempt, Last, Prediction};
+use super::attempt::{Attempt, Last};
 use super::motion_state::MotionState;
+use super::prediction::Prediction;
 use super::registration::Registration;
 use super::{Found, LaserOdometry, is_steady, uncertainty};
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
@@ -106,6 +107,7 @@ impl LaserOdometry {
             seen_twist: twist,
             mean_twist: twist,
             motion: goes_on,
+            passed_over: false,
         });
         let covariance = uncertainty::compound(&set.map_from_base, &none, &motion, &covariance);
         self.answer_first(scan, base_from_laser, set.map_from_base * motion, covariance)

@@ -7,7 +7,7 @@
 
 use nalgebra::Vector3;
 
-use super::attempt::Prediction;
+use super::prediction::Prediction;
 use crate::geometry::{Pose2, wrap_angle};
 
 /// A source whose last steps err by three times what its model claims is worth next to nothing.
@@ -44,6 +44,13 @@ impl SourceNoise {
     pub(super) fn judge(&mut self, deviation: f64) {
         let seen = deviation.min(CLIPPED).powi(2);
         self.factor = (self.factor + WEIGHT * (seen - self.factor)).max(1.0);
+    }
+}
+
+impl Prediction {
+    /// With the noise that was learned of its source.
+    pub(super) fn with_noise(&self, noise: SourceNoise) -> Self {
+        Self { covariance: self.covariance * noise.factor(), ..*self }
     }
 }
 

@@ -6,9 +6,9 @@
 use crate::geometry::{Pose2, Twist2, wrap_angle};
 use crate::time::Stamp;
 
-use super::attempt::Prediction;
 use super::heading::{Heading, HeadingReading};
 use super::lag::Lag;
+use super::prediction::Prediction;
 use super::wheel::{WheelEvent, WheelOdometry, WheelSample};
 
 /// A turn this many standard deviations from another contradicts it.

@@ -10,7 +10,7 @@ use super::run::{Input, Run, run};
 use super::variant::Variant;
 use crate::anytime::clock::Clock;
 use crate::config::Config;
-use crate::evaluation::statistics::percentile;
+use crate::quantile;
 
 /// What came of one of the two.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,7 +92,7 @@ impl Kept {
         Self {
             iterations,
             late: late as f64 / delays.len().max(1) as f64,
-            p99_us: percentile(&delays, 99).unwrap_or_default(),
+            p99_us: quantile::of_sorted(&delays, 0.99).unwrap_or_default(),
             position_mean_m: errors.iter().sum::<f64>() / errors.len().max(1) as f64,
         }
     }

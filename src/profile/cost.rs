@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::evaluation::statistics::percentile;
+use crate::quantile;
 
 /// What an answer costs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +38,7 @@ pub fn levels(answers: impl IntoIterator<Item = (u32, u64, f64)>) -> Vec<Level> 
     let level = |(iterations, (mut rays, mut delays)): (u32, (Vec<u64>, Vec<f64>))| {
         rays.sort_unstable();
         delays.sort_by(f64::total_cmp);
-        let (rays, delay_us) = (percentile(&rays, 50)?, percentile(&delays, 50)?);
+        let (rays, delay_us) = (quantile::of_sorted(&rays, 0.5)?, quantile::of_sorted(&delays, 0.5)?);
         Some(Level { iterations, rays, delay_us, count: delays.len() })
     };
     by_iterations.into_iter().filter_map(level).collect()

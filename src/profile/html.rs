@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::knob::Knob;
 use super::pictures::Picture;
-use super::study::{ERROR_MEANS, Results};
+use super::results::{ERROR_MEANS, Results};
 use super::summary::CaseSummary;
 use super::tables;
 

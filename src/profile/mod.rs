@@ -17,6 +17,7 @@ pub mod knob;
 pub mod look_up;
 pub mod pictures;
 pub mod plan;
+pub mod results;
 pub mod run;
 pub mod search_time;
 pub mod study;
@@ -47,7 +48,7 @@ pub enum ProfileError {
     /// A value is none of its knob's.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The contract of the configuration is none.
+    /// The contract of the configuration is invalid.
     #[error(transparent)]
     Contract(#[from] ContractError),
     /// The particle filter cannot be had.

@@ -2,15 +2,15 @@
 
 use super::ProfileError;
 use super::knob::Knob;
+use super::results::{Results, VariantCost};
 use super::run::Run;
-use super::study::{Results, VariantCost};
 use super::summary::CaseSummary;
 use super::variant::Variant;
 use crate::evaluation::plot::{Colour, Dash, Look, Mark, Panel, Path, Scale, Series, curves, positions, top_view, true_path};
-use crate::evaluation::statistics::percentile;
 use crate::geometry::{Point, Pose2, wrap_angle};
 use crate::matching::correspondence::Correspondence;
 use crate::matching::solver::SolverKind;
+use crate::quantile;
 
 /// Values of a knob that a picture of whole trajectories can hold apart.
 const SHOWN_VALUES: usize = 4;
@@ -391,7 +391,7 @@ fn median_descent(descents: &[Vec<f64>]) -> Vec<f64> {
     let at = |i: usize| {
         let mut values: Vec<f64> = descents.iter().filter_map(|descent| descent.get(i).or(descent.last()).copied()).collect();
         values.sort_by(f64::total_cmp);
-        percentile(&values, 50)
+        quantile::of_sorted(&values, 0.5)
     };
     (0..longest).filter_map(at).collect()
 }

@@ -2,12 +2,12 @@
 
 use super::ProfileError;
 use crate::anytime::clock::Clock;
-use crate::evaluation::statistics::percentile;
 use crate::geometry::Point;
 use crate::io::bag::Bag;
 use crate::matching::correspondence::{Correspondence, Nearest};
 use crate::matching::reference::Reference;
 use crate::messages::sensor_msgs::LaserScan;
+use crate::quantile;
 use crate::replay::microseconds;
 use crate::scan::{MIN_BEAMS, Scan, ScanConverter};
 
@@ -47,7 +47,7 @@ pub fn measure(bag: &Bag, scan_topic: &str, max_distance: f64, clock: &dyn Clock
         }
         for (&search, mut samples) in Correspondence::ALL.iter().filter(|kind| kind.search().is_some()).zip(samples) {
             samples.sort_by(f64::total_cmp);
-            times.extend(percentile(&samples, 50).map(|time_us| SearchTime { search, beams, time_us }));
+            times.extend(quantile::of_sorted(&samples, 0.5).map(|time_us| SearchTime { search, beams, time_us }));
         }
     }
     Ok(times)

@@ -2,7 +2,8 @@
 
 use super::plan::Case;
 use super::run::Run;
-use crate::evaluation::statistics::{Statistics, percentile};
+use crate::evaluation::statistics::Statistics;
+use crate::quantile;
 
 /// Delays, us.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -33,7 +34,7 @@ impl ErrorFigures {
         Self {
             mean_square: sizes.iter().map(|size| size * size).sum::<f64>() / count,
             mean: sizes.iter().sum::<f64>() / count,
-            p95: percentile(&sizes, 95).unwrap_or_default(),
+            p95: quantile::of_sorted(&sizes, 0.95).unwrap_or_default(),
         }
     }
 
@@ -75,8 +76,8 @@ impl Figures {
             failed: run.scans.iter().filter(|scan| !scan.matched).count() as f64,
             delay: Delays {
                 mean: delays.iter().sum::<f64>() / delays.len().max(1) as f64,
-                p50: percentile(&delays, 50).unwrap_or_default(),
-                p99: percentile(&delays, 99).unwrap_or_default(),
+                p50: quantile::of_sorted(&delays, 0.5).unwrap_or_default(),
+                p99: quantile::of_sorted(&delays, 0.99).unwrap_or_default(),
             },
             position: ErrorFigures::of(errors().map(|error| error.distance()).collect()),
             orientation: ErrorFigures::of(errors().map(|error| error.theta.abs()).collect()),

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use serde_json::{Value, json};
 
 use super::comparison::{Comparison, Kept};
-use super::study::{Results, VariantCost};
+use super::results::{Results, VariantCost};
 use crate::text_table::TextTable;
 
 /// Columns of the look-up table.

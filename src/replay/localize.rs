@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::{self, Write};
 use std::time::Duration;
 
 use comfy_table::{Table, presets};
 use serde_json::{Value, json};
 
+use super::row::BeliefRow;
 use super::{ReplayLog, Topics, feed, microseconds, sensed};
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
@@ -15,18 +15,19 @@ use crate::app::Answering as _;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::sensed::Sensed;
 use crate::evaluation::association::MatchedPose;
-use crate::evaluation::statistics::{PoseErrors, percentile};
+use crate::evaluation::consistency::Consistency;
+use crate::evaluation::statistics::PoseErrors;
 use crate::evaluation::trajectory::StampedPose;
-use crate::geometry::Pose2;
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::io::bag::{Bag, BagError};
-use crate::localization::filter::Belief;
-use crate::matching::StopReason;
+use crate::localization::estimate::Belief;
+use crate::quantile;
 use crate::time::Stamp;
 
 /// What became of a scan.
 #[derive(Clone, Debug)]
 pub enum Answer {
-    /// The filter took it in.
+    /// The filter took it in, or could not use it.
     Fix(Box<Fix>),
     /// A newer one was there when the timer called. Where the robot was then: the last belief, carried on by odometry.
     Between {
@@ -92,61 +93,13 @@ fn pass_over<E>(
     on_answer(&Answer::Between { stamp, map_from_base }, scan)
 }
 
-const HEADER: [&str; 16] = [
-    "stamp",
-    "x_m",
-    "y_m",
-    "theta_rad",
-    "sigma_x_m",
-    "sigma_y_m",
-    "sigma_theta_rad",
-    "localized",
-    "share",
-    "particles",
-    "effective",
-    "beams",
-    "fit",
-    "explained",
-    "stop_reason",
-    "elapsed_us",
-];
-
-/// Writes beliefs as CSV.
-pub struct BeliefFile<W: Write> {
-    writer: csv::Writer<W>,
-}
-
-impl<W: Write> BeliefFile<W> {
-    /// Writes the header.
-    pub fn new(sink: W) -> csv::Result<Self> {
-        let mut writer = csv::Writer::from_writer(sink);
-        writer.write_record(HEADER)?;
-        Ok(Self { writer })
-    }
-
-    /// Writes the line of one scan; a scan that was of no use has none.
-    pub fn write(&mut self, answer: &Answer) -> csv::Result<()> {
-        let Answer::Fix(answer) = answer else { return Ok(()) };
-        let Ok(belief) = &answer.belief else { return Ok(()) };
-        let pose = &belief.map_from_base;
-        let mut record = vec![answer.stamp.to_string()];
-        record.extend([pose.x, pose.y, pose.theta].map(|value| format!("{value:.9}")));
-        record.extend([0, 1, 2].map(|i| format!("{:.6}", belief.covariance[(i, i)].max(0.0).sqrt())));
-        record.push(belief.is_localized().to_string());
-        record.push(format!("{:.4}", belief.share));
-        record.push(belief.particles.to_string());
-        record.extend([format!("{:.1}", belief.effective), belief.beams.to_string(), format!("{:.5}", belief.fit)]);
-        record.push(format!("{:.4}", belief.explained));
-        record.push(answer.stop_reason.map_or("", StopReason::name).into());
-        record.push(format!("{:.3}", microseconds(answer.elapsed)));
-        self.writer.write_record(record)?;
-        Ok(self.writer.flush()?)
-    }
-
-    /// The sink, with all that was written.
-    pub fn into_sink(self) -> io::Result<W> {
-        self.writer.into_inner().map_err(csv::IntoInnerError::into_error)
-    }
+/// How far off the poses were, and whether their covariances said so.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthErrors {
+    /// The errors.
+    pub poses: PoseErrors,
+    /// `None` where no covariance can be inverted.
+    pub consistency: Option<Consistency>,
 }
 
 /// Collects the answers of a replay.
@@ -155,48 +108,47 @@ pub struct LocalizationSummary {
     poses: Vec<StampedPose>,
     /// Those of scans after which the robot knew where it was.
     localized: Vec<StampedPose>,
+    /// How sure it was then.
+    covariances: BTreeMap<Stamp, PoseCovariance>,
     elapsed: Vec<Duration>,
     between: usize,
     /// Sum of the parts of their beams that the map explained.
     explained: f64,
-    particles: usize,
+    particles: u64,
     effective: f64,
-    beams: usize,
+    beams: u64,
     late: usize,
     worst_overrun: Duration,
     /// By kind: how many, and the first in words.
-    unused: BTreeMap<&'static str, (usize, String)>,
+    unused: BTreeMap<String, (usize, String)>,
 }
 
 impl LocalizationSummary {
-    /// Takes an answer; tells its pose, if it has one.
-    pub fn add(&mut self, answer: &Answer) -> Option<StampedPose> {
-        let answer = match answer {
-            Answer::Fix(fix) => fix,
-            &Answer::Between { stamp, map_from_base } => {
-                self.between += 1;
-                return Some(StampedPose { stamp, pose: map_from_base });
-            }
+    /// Counts a scan that was passed over.
+    pub fn pass_over(&mut self) {
+        self.between += 1;
+    }
+
+    /// Adds an answer; returns its pose, if it has one.
+    pub fn add(&mut self, BeliefRow { pose, covariance, report }: &BeliefRow) -> Option<StampedPose> {
+        let Some(pose) = *pose else {
+            self.unused.entry(report.failure.clone()).or_insert_with(|| (0, report.reason.clone())).0 += 1;
+            return None;
         };
-        match &answer.belief {
-            Ok(belief) => {
-                let pose = StampedPose { stamp: answer.stamp, pose: belief.map_from_base };
-                self.poses.push(pose);
-                self.elapsed.push(answer.elapsed);
-                self.localized.extend(belief.is_localized().then_some(pose));
-                self.explained += belief.explained;
-                self.particles += belief.particles;
-                self.effective += belief.effective;
-                self.beams += belief.beams;
-                self.late += usize::from(!answer.overrun().is_zero());
-                self.worst_overrun = self.worst_overrun.max(answer.overrun());
-                Some(pose)
-            }
-            Err(problem) => {
-                self.unused.entry(problem.code()).or_insert_with(|| (0, problem.to_string())).0 += 1;
-                None
-            }
+        let pose = StampedPose { stamp: report.header.stamp.into(), pose };
+        self.poses.push(pose);
+        self.elapsed.push(report.elapsed.span());
+        if report.localized {
+            self.localized.push(pose);
+            self.covariances.insert(pose.stamp, *covariance);
         }
+        self.explained += report.explained;
+        self.particles += u64::from(report.particles);
+        self.effective += report.effective;
+        self.beams += u64::from(report.beams);
+        self.late += usize::from(!report.deadline_met);
+        self.worst_overrun = self.worst_overrun.max(report.overrun.span());
+        Some(pose)
     }
 
     /// The trajectory of the base on the map.
@@ -247,16 +199,25 @@ impl LocalizationSummary {
     fn times(&self) -> [f64; 3] {
         let mut sorted = self.elapsed.clone();
         sorted.sort_unstable();
-        [50, 99, 100].map(|percent| percentile(&sorted, percent).map_or(0.0, microseconds))
+        [0.5, 0.99, 1.0].map(|share| quantile::of_sorted(&sorted, share).map_or(0.0, microseconds))
     }
 
     fn seconds_to_find(&self) -> Option<f64> {
         self.localized.first().zip(self.poses.first()).map(|(found, first)| found.stamp.seconds_since(first.stamp))
     }
 
-    /// One JSON object. `errors` are those against the truth, in the map, while the robot was localized: nothing is aligned.
-    pub fn to_json(&self, errors: Option<&PoseErrors>, problems: &[String]) -> Value {
+    /// The errors against the truth, in the map, while the robot was localized: nothing is aligned. `None` when there are none.
+    pub fn errors(&self, matched: &[MatchedPose]) -> Option<TruthErrors> {
+        let errors: Vec<_> = matched.iter().map(|matched| matched.truth.between(&matched.estimate)).collect();
+        let covariance = |matched: &MatchedPose| self.covariances.get(&matched.stamp);
+        let estimates = matched.iter().filter_map(|m| Some((&m.estimate, covariance(m)?, &m.truth)));
+        Some(TruthErrors { poses: PoseErrors::of(&errors)?, consistency: Consistency::of(estimates) })
+    }
+
+    /// One JSON object.
+    pub fn to_json(&self, errors: Option<&TruthErrors>, problems: &[String]) -> Value {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
+        let consistency = errors.and_then(|errors| errors.consistency);
         json!({
             "scans": self.poses.len(),
             "passed_over": self.between,
@@ -270,17 +231,19 @@ impl LocalizationSummary {
             "deadline_misses": self.late,
             "worst_overrun_us": microseconds(self.worst_overrun),
             "time_us": {"p50": p50, "p99": p99, "max": max},
-            "position_rmse_m": errors.map(|errors| errors.trans_m.rmse),
-            "position_max_m": errors.map(|errors| errors.trans_m.max),
-            "heading_rmse_deg": errors.map(|errors| errors.rot_deg.rmse),
-            "heading_max_deg": errors.map(|errors| errors.rot_deg.max),
-            "unused": self.unused.iter().map(|(code, (count, _))| (*code, *count)).collect::<BTreeMap<_, _>>(),
+            "position_rmse_m": errors.map(|errors| errors.poses.trans_m.rmse),
+            "position_max_m": errors.map(|errors| errors.poses.trans_m.max),
+            "heading_rmse_deg": errors.map(|errors| errors.poses.rot_deg.rmse),
+            "heading_max_deg": errors.map(|errors| errors.poses.rot_deg.max),
+            "nees": consistency.map(|consistency| consistency.nees),
+            "within_three_sigma": consistency.map(|consistency| consistency.positions_within),
+            "unused": self.unused.iter().map(|(code, (count, _))| (code, *count)).collect::<BTreeMap<_, _>>(),
             "problems": problems,
         })
     }
 
     /// A table for people.
-    pub fn to_text(&self, errors: Option<&PoseErrors>, problems: &[String]) -> String {
+    pub fn to_text(&self, errors: Option<&TruthErrors>, problems: &[String]) -> String {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
@@ -300,12 +263,19 @@ impl LocalizationSummary {
             let worst = microseconds(self.worst_overrun);
             table.add_row(["deadline misses", &format!("{}, worst overrun {worst:.0} us", self.late)]);
         }
-        if let Some(PoseErrors { trans_m, rot_deg, .. }) = errors {
+        if let Some(TruthErrors { poses: PoseErrors { trans_m, rot_deg, .. }, consistency }) = errors {
             table.add_row(["position error", &format!("while localized: RMSE {:.4} m, max {:.4} m", trans_m.rmse, trans_m.max)]);
             table.add_row([
                 "heading error",
                 &format!("while localized: RMSE {:.4} deg, max {:.4} deg", rot_deg.rmse, rot_deg.max),
             ]);
+            if let Some(Consistency { nees, positions_within, .. }) = consistency {
+                let percent = 100.0 * positions_within;
+                table.add_row([
+                    "consistency",
+                    &format!("NEES {nees:.1} (right: 3); {percent:.1} % of the positions within three sigma"),
+                ]);
+            }
         }
         let mut text = format!("{table}\n");
         for problem in problems {
@@ -313,10 +283,4 @@ impl LocalizationSummary {
         }
         text
     }
-}
-
-/// Errors in the map, without aligning the trajectories; `None` when there are none.
-pub fn errors(matched: &[MatchedPose]) -> Option<PoseErrors> {
-    let errors: Vec<_> = matched.iter().map(|matched| matched.truth.between(&matched.estimate)).collect();
-    PoseErrors::of(&errors)
 }

@@ -1,9 +1,8 @@
-//! Scan points along the way, as the background of a plot.
+//! Scan points along the path, as the background of a plot.
 
 use crate::app::sensed::Sensed;
 use crate::app::{App, Estimate};
 use crate::geometry::Point;
-use crate::scan::{Mask, ScanConverter};
 
 /// More points than this make a plot heavy, not better.
 const MAX_POINTS: usize = 20_000;
@@ -13,7 +12,6 @@ const POINTS_PER_SCAN: usize = 60;
 /// Collects points of keyframes; thins out as it fills up.
 #[derive(Debug, Default)]
 pub struct MapSketch {
-    converter: ScanConverter,
     points: Vec<Point>,
     keyframes: usize,
     every: usize,
@@ -21,18 +19,16 @@ pub struct MapSketch {
 
 impl MapSketch {
     /// Takes a scan that has been answered.
-    pub fn add(&mut self, message: &Sensed, estimate: &Estimate, app: &App) {
+    pub fn add(&mut self, message: &Sensed, estimate: &Estimate, app: &mut App) {
         if !estimate.registration.new_keyframe || !estimate.registration.outcome.is_ok() {
             return;
         }
         self.keyframes += 1;
-        let mount = app.mount().0;
-        let scan = message.scan(&mut self.converter, &app.config().cloud, &mount);
-        let Some(scan) = scan.and_then(|scan| scan.masked(&Mask::new(&app.config().scan)).ok()) else { return };
+        let Some(scan) = app.scan(message) else { return };
         if !self.keyframes.is_multiple_of(self.every.max(1)) {
             return;
         }
-        let transform = (estimate.registration.map_from_base() * mount.base_from_laser).transform();
+        let transform = (estimate.registration.map_from_base() * app.mount().0.base_from_laser).transform();
         let stride = scan.valid_len().div_ceil(POINTS_PER_SCAN).max(1);
         self.points.extend(scan.rays().step_by(stride).map(|(_, direction, range)| transform.apply(direction * range)));
         if self.points.len() > MAX_POINTS {

@@ -1,11 +1,11 @@
-//! A bag through the very application that the node runs.
+//! Runs a bag through the application that the node runs.
 
-pub mod csv_file;
 pub mod localize;
 pub mod map_picture;
 pub mod map_sketch;
 pub mod map_summary;
 pub mod recorder;
+pub mod row;
 pub mod summary;
 pub mod survey;
 pub mod truth;
@@ -14,9 +14,8 @@ use std::time::Duration;
 
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
-use crate::app::localizer::Localizer;
 use crate::app::sensed::Sensed;
-use crate::app::{Answering as _, App, Estimate, InputError};
+use crate::app::{Answering, App, Estimate};
 use crate::io::bag::{Bag, BagError, BagMessage};
 use crate::io::contract_schedule::ContractSchedule;
 use crate::messages::nav_msgs::Odometry;
@@ -31,7 +30,7 @@ const TRANSFORM_TOPICS: [&str; 2] = ["/tf", "/tf_static"];
 /// The topics to replay.
 #[derive(Clone, Debug)]
 pub struct Topics {
-    /// Laser scans, or point clouds: the topic's type tells.
+    /// Laser scans or point clouds, by the type of the topic.
     pub scan: String,
     /// Wheel odometry; `None`: do without.
     pub odometry: Option<String>,
@@ -40,7 +39,7 @@ pub struct Topics {
 }
 
 impl Topics {
-    /// The topics asked for, as far as the bag has them. Without an explicit wish, odometry is optional.
+    /// The topics asked for. If none is named, odometry is optional.
     pub fn resolve(bag: &Bag, scan: &str, odometry: Option<&str>) -> Result<Self, BagError> {
         expect_scans(bag, scan)?;
         Ok(Self { scan: scan.into(), odometry: optional::<Odometry>(bag, odometry, "/odom")?, imu: None })
@@ -85,7 +84,7 @@ fn sensed(message: &BagMessage) -> Result<Sensed, BagError> {
     } else if message.connection.carries::<PointCloud2>() {
         message.decode().map(Sensed::Cloud)
     } else {
-        message.decode().map(Sensed::Scan) // an error that says what would be right
+        message.decode().map(Sensed::Scan) // the error names the right type
     }
 }
 
@@ -108,10 +107,10 @@ pub struct Source<'a> {
     pub schedule: &'a ContractSchedule,
 }
 
-/// What happened besides the estimates.
+/// Problems during a replay.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReplayLog {
-    /// Messages that could not be read or used, in words; the first of each kind.
+    /// Messages that could not be read or used, in words: the first ones.
     pub problems: Vec<String>,
     /// How many there were in all.
     pub unusable_messages: u64,
@@ -120,7 +119,7 @@ pub struct ReplayLog {
 impl ReplayLog {
     const KEPT: usize = 10;
 
-    /// Why there is nothing to show: what was unusable, and what the bag lost. Empty if nothing tells.
+    /// Why there is nothing to show: what was unusable, and what the bag lost. Empty if unknown.
     pub fn reasons(&self, bag: &Bag) -> String {
         let unusable =
             self.problems.first().map(|first| format!("{} unusable messages, the first: {first}", self.unusable_messages));
@@ -167,46 +166,9 @@ pub fn replay<E: From<BagError>>(
     })
 }
 
-/// What takes the messages of a bag besides its scans.
-trait Listener {
-    fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError>;
-    fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError>;
-    fn on_imu(&mut self, _: &Imu) -> Result<(), InputError> {
-        Ok(())
-    }
-    /// How long to hold back a scan for odometry that it needs.
-    fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration>;
-    fn take_remarks(&mut self) -> Vec<String>;
-}
-
-macro_rules! listener {
-    ($kind:ty $(, $method:ident: $message:ty)?) => {
-        impl Listener for $kind {
-            fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
-                Self::on_odometry(self, message)
-            }
-            fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
-                Self::on_transforms(self, message)
-            }
-            fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-                Self::wait_for_odometry(self, stamp)
-            }
-            fn take_remarks(&mut self) -> Vec<String> {
-                Self::take_remarks(self)
-            }
-            $(fn $method(&mut self, message: &$message) -> Result<(), InputError> {
-                Self::$method(self, message)
-            })?
-        }
-    };
-}
-
-listener!(App, on_imu: Imu);
-listener!(Localizer);
-
 /// Hands the messages of a bag to a listener in their order, and its scans to `answer`, each when the odometry for it has come, or
 /// it can wait no longer.
-fn feed<L: Listener, E>(
+fn feed<L: Answering, E>(
     bag: &Bag,
     topics: &Topics,
     listener: &mut L,
@@ -257,12 +219,12 @@ impl<'bag> HeldScan<'bag> {
         Self { message, stamp }
     }
 
-    fn can_wait(&self, listener: &impl Listener, now: Stamp) -> bool {
+    fn can_wait(&self, listener: &impl Answering, now: Stamp) -> bool {
         listener.wait_for_odometry(self.stamp).is_some_and(|wait| now.seconds_since(self.message.time) < wait.as_secs_f64())
     }
 }
 
-fn take(listener: &mut impl Listener, topics: &Topics, message: &BagMessage) -> Result<(), String> {
+fn take(listener: &mut impl Answering, topics: &Topics, message: &BagMessage) -> Result<(), String> {
     let topic = message.connection.topic.as_str();
     let in_words = |problem: &dyn std::fmt::Display| format!("{topic} at {}: {problem}", message.time);
     if topics.odometry.as_deref() == Some(topic) {

@@ -1,17 +1,18 @@
-//! What is kept of a replay: the summary in memory, and files for whoever asks for them.
+//! Records a replay: the summary in memory, and the files asked for.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use super::csv_file::CsvFile;
 use super::map_sketch::MapSketch;
+use super::row::MatchRow;
 use super::summary::Summary;
 use crate::app::sensed::Sensed;
 use crate::app::{App, Estimate};
 use crate::geometry::Point;
 use crate::io::bag::BagError;
+use crate::io::csv_file::CsvFile;
 use crate::io::tum::TumWriter;
 use crate::output::OutputFile;
 
@@ -44,7 +45,7 @@ pub struct OutputFiles {
 pub struct Recorder {
     files: OutputFiles,
     tum: Option<TumWriter<OutputFile>>,
-    csv: Option<CsvFile<OutputFile>>,
+    csv: Option<CsvFile<OutputFile, MatchRow>>,
     sketch: Option<MapSketch>,
     summary: Summary,
 }
@@ -54,20 +55,21 @@ impl Recorder {
     pub fn create(files: OutputFiles, sketch: bool) -> Result<Self, RecordError> {
         let tum = files.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
         let csv = match files.csv.as_deref() {
-            Some(path) => Some(CsvFile::new(create(path)?).map_err(|error| failed(path, error.into()))?),
+            Some(path) => Some(CsvFile::new(create(path)?, MatchRow::COLUMNS).map_err(|error| failed(path, error.into()))?),
             None => None,
         };
         Ok(Self { files, tum, csv, sketch: sketch.then(MapSketch::default), summary: Summary::default() })
     }
 
     /// Takes the answer to a scan.
-    pub fn add(&mut self, scan: &Sensed, estimate: &Estimate, app: &App) -> Result<(), RecordError> {
-        let pose = self.summary.add(estimate);
+    pub fn add(&mut self, scan: &Sensed, estimate: &Estimate, app: &mut App) -> Result<(), RecordError> {
+        let row = MatchRow::new(estimate, app);
+        let pose = self.summary.add(&row);
         if let (Some(tum), Some(path)) = (&mut self.tum, &self.files.tum) {
             tum.write(&pose).map_err(|error| failed(path, error))?;
         }
         if let (Some(csv), Some(path)) = (&mut self.csv, &self.files.csv) {
-            csv.write(estimate).map_err(|error| failed(path, error.into()))?;
+            csv.write(&row).map_err(|error| failed(path, error.into()))?;
         }
         if let Some(sketch) = &mut self.sketch {
             sketch.add(scan, estimate, app);

@@ -1,4 +1,4 @@
-//! What a replay came to, for people and for machines.
+//! Summary of a replay, as text and as JSON.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -7,15 +7,14 @@ use std::time::Duration;
 use comfy_table::{Table, presets};
 use serde_json::{Value, json};
 
+use super::row::MatchRow;
 use super::{ReplayLog, microseconds};
-use crate::anytime::ErrorEstimate;
-use crate::anytime::mode::Outside;
-use crate::app::{Estimate, MountSource};
+use crate::app::MountSource;
 use crate::evaluation::consistency::{Claim, Consistency};
 use crate::evaluation::report::Report;
-use crate::evaluation::statistics::percentile;
 use crate::evaluation::trajectory::StampedPose;
-use crate::odometry::{FailureReason, OdometryCounters, Outcome};
+use crate::odometry::{FailureReason, OdometryCounters};
+use crate::quantile;
 
 /// Collects the estimates of a replay.
 #[derive(Clone, Debug, Default)]
@@ -26,13 +25,13 @@ pub struct Summary {
     iterations: u64,
     matched: usize,
     /// By kind, in the order of their names: how many, and the first in words.
-    failures: BTreeMap<&'static str, (usize, String)>,
+    failures: BTreeMap<String, (usize, String)>,
     /// Shortest and longest time budget.
     budgets: Option<(Duration, Duration)>,
     /// Answers that had a bound on their error, and those that kept it.
     bounded: (usize, usize),
     /// Answers to scans of another kind than the profile's, and what was first.
-    outside_profile: Option<(usize, Outside)>,
+    outside_profile: Option<(usize, String)>,
     misses: usize,
     worst_overrun: Duration,
 }
@@ -57,7 +56,7 @@ pub struct Ending {
 }
 
 impl Ending {
-    /// What the user should know, each with its remedy where there is one.
+    /// Problems worth knowing, each with its remedy where there is one.
     fn problems(&self) -> Vec<String> {
         let mut problems = self.bag_problems.clone();
         problems.extend(self.log.problems.iter().cloned());
@@ -92,35 +91,31 @@ impl Ending {
 }
 
 impl Summary {
-    /// Takes an estimate; answers its pose.
-    pub fn add(&mut self, estimate: &Estimate) -> StampedPose {
-        let registration = &estimate.registration;
-        let pose = StampedPose { stamp: estimate.stamp, pose: registration.map_from_base() };
+    /// Adds an answer; returns its pose.
+    pub fn add(&mut self, MatchRow { pose, report, claim }: &MatchRow) -> StampedPose {
+        let pose = StampedPose { stamp: report.header.stamp.into(), pose: *pose };
         self.poses.push(pose);
-        self.claims.push(Claim {
-            pose: StampedPose { pose: registration.odom_from_base, ..pose },
-            covariance: registration.covariance,
-            is_ok: registration.outcome.is_ok(),
-        });
-        self.elapsed.push(estimate.elapsed);
-        self.iterations += registration.refinement.map_or(0, |r| u64::from(r.iterations));
-        self.matched += usize::from(registration.outcome.is_ok());
-        if let Outcome::Predicted(failure) = &registration.outcome {
-            self.failures.entry(failure.reason.name()).or_insert_with(|| (0, failure.text.clone())).0 += 1;
+        self.claims.push(*claim);
+        self.elapsed.push(report.elapsed.span());
+        self.iterations += u64::from(report.iterations);
+        self.matched += usize::from(report.ok);
+        if !report.ok {
+            self.failures.entry(report.failure.clone()).or_insert_with(|| (0, report.reason.clone())).0 += 1;
         }
-        if let Some(budget) = estimate.contract.time_budget {
+        let budget = report.time_budget.span();
+        if !budget.is_zero() {
             let (shortest, longest) = self.budgets.unwrap_or((budget, budget));
             self.budgets = Some((shortest.min(budget), longest.max(budget)));
         }
-        if estimate.contract.has_error_bound() {
-            let kept = estimate.error_excess() == ErrorEstimate::default();
+        if report.translation_error_bound > 0.0 || report.rotation_error_bound > 0.0 {
+            let kept = report.translation_error_excess <= 0.0 && report.rotation_error_excess <= 0.0;
             self.bounded = (self.bounded.0 + 1, self.bounded.1 + usize::from(kept));
         }
-        if let Some(outside) = estimate.outside_profile {
-            self.outside_profile.get_or_insert((0, outside)).0 += 1;
+        if !report.outside_profile.is_empty() {
+            self.outside_profile.get_or_insert_with(|| (0, report.outside_profile.clone())).0 += 1;
         }
-        self.misses += usize::from(!estimate.deadline_met());
-        self.worst_overrun = self.worst_overrun.max(estimate.overrun());
+        self.misses += usize::from(!report.deadline_met);
+        self.worst_overrun = self.worst_overrun.max(report.overrun.span());
         pose
     }
 
@@ -142,16 +137,17 @@ impl Summary {
 
     fn in_words(&self, reason: &str, count: usize, first: &str) -> String {
         let scans = self.poses.len();
-        match first.strip_prefix("malformed scan: ") {
-            Some(first) => format!("{count} of {scans} scans are malformed, the first: {first}"),
-            None => format!("{count} of {scans} scans failed ({reason}), the first: {first}"),
+        if reason == FailureReason::MalformedScan.name() {
+            format!("{count} of {scans} scans are malformed, the first: {first}")
+        } else {
+            format!("{count} of {scans} scans failed ({reason}), the first: {first}")
         }
     }
 
-    /// What the user should know, each with its remedy where there is one.
+    /// Problems worth knowing, each with its remedy where there is one.
     fn problems(&self, ending: &Ending) -> Vec<String> {
         let failures = self.failures.iter().map(|(reason, (count, first))| self.in_words(reason, *count, first));
-        let elsewhere = self.outside_profile.map(|(count, first)| {
+        let elsewhere = self.outside_profile.as_ref().map(|(count, first)| {
             format!(
                 "{count} scans are of another kind than those of contract.profile, whose errors are not to be relied on: {first}"
             )
@@ -167,7 +163,7 @@ impl Summary {
     fn times(&self) -> [f64; 3] {
         let mut sorted = self.elapsed.clone();
         sorted.sort_unstable();
-        [50, 99, 100].map(|percent| percentile(&sorted, percent).map_or(0.0, microseconds))
+        [0.5, 0.99, 1.0].map(|share| quantile::of_sorted(&sorted, share).map_or(0.0, microseconds))
     }
 
     fn mean_iterations(&self) -> f64 {
@@ -182,7 +178,7 @@ impl Summary {
             "scans": self.poses.len(),
             "matched": self.matched,
             "failed": self.poses.len() - self.matched,
-            "failures": self.failures.iter().map(|(reason, (count, _))| (*reason, *count)).collect::<BTreeMap<_, _>>(),
+            "failures": self.failures.iter().map(|(reason, (count, _))| (reason, *count)).collect::<BTreeMap<_, _>>(),
             "path_length_m": self.path_length(),
             "mean_iterations": self.mean_iterations(),
             "keyframes": ending.counters.keyframes,

@@ -6,16 +6,17 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use rosrust::api::Ros;
-use rosrust_msg::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
-use rosrust_msg::std_msgs::Header;
 
 use super::NodeError;
 use super::mailbox::Dropped;
-use super::master::Role;
-use super::publishers::Output;
+use super::master::MasterRegistration;
+use super::output::Output;
 use crate::app::Estimate;
-use crate::evaluation::statistics::percentile;
+use crate::messages::Time;
+use crate::messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
+use crate::messages::std_msgs::Header;
 use crate::odometry::Outcome;
+use crate::quantile;
 
 /// Time between two messages.
 pub(super) const PERIOD: Duration = Duration::from_secs(1);
@@ -44,7 +45,7 @@ pub(super) struct Sample {
     pub(super) elapsed: Duration,
     /// How much later than asked for it was.
     pub(super) overrun: Duration,
-    /// Why the scan was of no use; `None`: it was.
+    /// Why the scan could not be used; `None`: it was used.
     pub(super) problem: Option<String>,
 }
 
@@ -148,8 +149,8 @@ impl Diagnostics {
         Ok(Self { output: Output::new(ros, "/diagnostics")?, name, task, before: (Counts::default(), Dropped::default()) })
     }
 
-    pub(super) fn role(&self) -> Role {
-        self.output.role()
+    pub(super) fn registration(&self) -> MasterRegistration {
+        self.output.registration()
     }
 
     /// Reports on the time since the last report, `seconds` ago.
@@ -160,7 +161,9 @@ impl Diagnostics {
         let (level, message) = report.verdict();
         let status =
             DiagnosticStatus { level, name: self.name.clone(), message, hardware_id: String::new(), values: report.values() };
-        self.output.send(|| DiagnosticArray { header: Header { stamp: ros.now(), ..Default::default() }, status: vec![status] });
+        let rosrust::Time { sec, nsec } = ros.now();
+        let header = Header { stamp: Time { sec, nsec }, ..Header::default() };
+        self.output.send(|| DiagnosticArray { header, status: vec![status] });
     }
 }
 
@@ -210,7 +213,7 @@ impl Report {
         let counts = &self.state.counts;
         let mut latencies = self.state.latencies.clone();
         latencies.sort_unstable();
-        let latency = |percent| format!("{:.3}", percentile(&latencies, percent).unwrap_or_default().as_secs_f64() * 1e3);
+        let latency = |share| format!("{:.3}", quantile::of_sorted(&latencies, share).unwrap_or_default().as_secs_f64() * 1e3);
         let not_done = format!("scans not {}", self.task.done);
         let lag = self.state.odometry_lag.map(|lag| ("odometry lag [s]", format!("{lag:.2}")));
         let all = [
@@ -222,9 +225,9 @@ impl Report {
             ("deadline misses [%]", format!("{:.3}", 100.0 * counts.late as f64 / counts.answered.max(1) as f64)),
             ("worst overrun [ms]", format!("{:.3}", counts.worst_overrun.as_secs_f64() * 1e3)),
             ("messages refused", (counts.refused + counts.too_long).to_string()),
-            ("latency p50 [ms]", latency(50)),
-            ("latency p99 [ms]", latency(99)),
-            ("latency max [ms]", latency(100)),
+            ("latency p50 [ms]", latency(0.5)),
+            ("latency p99 [ms]", latency(0.99)),
+            ("latency max [ms]", latency(1.0)),
         ];
         all.into_iter().chain(lag).map(|(key, value)| KeyValue { key: key.into(), value }).collect()
     }
@@ -261,8 +264,8 @@ mod tests {
     #[test]
     fn percentiles_are_latencies_that_were_measured() {
         let sorted: Vec<Duration> = (1..=100).map(Duration::from_millis).collect();
-        let of = |percent| percentile(&sorted, percent).unwrap_or_default().as_millis();
-        assert_eq!((of(50), of(99), of(100), of(0)), (50, 99, 100, 1));
-        assert_eq!(percentile::<Duration>(&[], 50).unwrap_or_default(), Duration::ZERO);
+        let of = |share| quantile::of_sorted(&sorted, share).unwrap_or_default().as_millis();
+        assert_eq!((of(0.5), of(0.99), of(1.0), of(0.0)), (50, 99, 100, 1));
+        assert_eq!(quantile::of_sorted::<Duration>(&[], 0.5).unwrap_or_default(), Duration::ZERO);
     }
 }

@@ -9,7 +9,7 @@ use crate::app::Estimate;
 use crate::matching::StopReason;
 use crate::shared_memory::{Responder, SharedEstimate};
 
-/// Shared memory wakes nobody who waits for something else: how often such a wait looks for requests.
+/// A request in shared memory does not wake a thread that waits for something else: how often such a wait polls for requests.
 pub(super) const LOOK: Duration = Duration::from_millis(1);
 
 /// The requests for the scan that is being worked on. One that comes while there is none asks for nothing: the newest answer is out.

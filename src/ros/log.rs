@@ -1,4 +1,4 @@
-//! What the node has to say: on stderr, and on `/rosout` once there is a master.
+//! The log of a node: on stderr, and on `/rosout` once there is a master.
 
 use std::collections::HashMap;
 use std::io::Write as _;
@@ -10,7 +10,7 @@ use rosrust::api::Ros;
 use rosrust_msg::rosgraph_msgs;
 
 use super::NodeError;
-use super::publishers::listed;
+use super::node_api::listed;
 
 /// Topic of all nodes' logs.
 pub(super) const ROSOUT: &str = "/rosout";

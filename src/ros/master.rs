@@ -6,7 +6,7 @@ use std::time::Duration;
 use rosrust::api::{Master, Ros};
 
 use super::NodeError;
-use super::log::{Log, print};
+use super::log::{self, Log, print};
 use super::node_api;
 use super::shutdown::StopSignal;
 use super::sockets;
@@ -46,14 +46,17 @@ pub(super) fn resolved(ros: &Ros, name: &str) -> Result<String, NodeError> {
         .ok_or_else(|| NodeError::ros(format!("use the name '{name}'"), &problem))
 }
 
-/// An entry in the master's books.
-pub(super) enum Role {
-    Publisher { topic: &'static str, message_type: String },
-    Subscriber { topic: &'static str, message_type: String },
+/// An entry in the registry of the master.
+pub(super) enum MasterRegistration {
+    Publisher { topic: &'static str, message_type: &'static str },
+    Subscriber { topic: &'static str, message_type: &'static str },
     Service { name: &'static str, uri: String },
 }
 
-impl Role {
+impl MasterRegistration {
+    /// That of every node's log.
+    pub(super) const ROSOUT: Self = Self::Publisher { topic: log::ROSOUT, message_type: "rosgraph_msgs/Log" };
+
     /// Of a service that has been offered; rosrust does not say where, but it has told the master.
     pub(super) fn of_service(ros: &Ros, name: &'static str) -> Result<Self, NodeError> {
         let uri = connect(ros.name(), ros.uri())?.lookup_service(&resolved(ros, name)?);
@@ -91,26 +94,31 @@ impl Role {
 pub(super) struct MasterLink<'a> {
     ros: &'a Ros,
     master: &'a Master,
-    roles: Vec<Role>,
+    registrations: Vec<MasterRegistration>,
     present: bool,
     log: Log,
 }
 
 impl<'a> MasterLink<'a> {
-    /// A node that is registered under these roles. Its sockets are as they shall be from now on.
-    pub(super) fn new(ros: &'a Ros, master: &'a Master, roles: Vec<Role>, log: &Log) -> Result<Self, NodeError> {
-        let link = Self { ros, master, roles, present: true, log: log.clone() };
-        let ports = link.roles.iter().filter_map(|role| role.port(ros).transpose());
+    /// A node with these registrations. Sets the options of its sockets.
+    pub(super) fn new(
+        ros: &'a Ros,
+        master: &'a Master,
+        registrations: Vec<MasterRegistration>,
+        log: &Log,
+    ) -> Result<Self, NodeError> {
+        let link = Self { ros, master, registrations, present: true, log: log.clone() };
+        let ports = link.registrations.iter().filter_map(|registration| registration.port(ros).transpose());
         sockets::tune(&ports.collect::<Result<_, _>>()?);
         Ok(link)
     }
 
-    /// From now on it has this role too.
-    pub(super) fn add(&mut self, role: Role) {
-        if let Ok(Some(port)) = role.port(self.ros) {
+    /// Adds a registration.
+    pub(super) fn add(&mut self, registration: MasterRegistration) {
+        if let Ok(Some(port)) = registration.port(self.ros) {
             sockets::tune(&HashSet::from([port]));
         }
-        self.roles.push(role);
+        self.registrations.push(registration);
     }
 
     /// Whether the master answered when it was last asked.
@@ -130,7 +138,7 @@ impl<'a> MasterLink<'a> {
     }
 
     fn return_to_master(&mut self) {
-        match self.roles.iter().try_for_each(|role| role.register(self.ros, self.master)) {
+        match self.registrations.iter().try_for_each(|registration| registration.register(self.ros, self.master)) {
             Ok(()) => self.log.info("the ROS master was started again: registered again"),
             Err(error) => {
                 self.log.warn(&format!("the ROS master was started again: {error}"));

@@ -3,17 +3,17 @@
 use std::sync::mpsc::Sender;
 use std::time::Duration;
 
-use super::convert::Answer;
+use super::convert::Outgoing;
 use super::diagnostics::{IMU_DISBELIEVED, ODOMETRY_DISBELIEVED, OUTSIDE_PROFILE, TRANSFORM_WITHHELD};
-use super::inlet::Letter;
+use super::input::Input;
 use super::live_params::MatchingChange;
 use super::mailbox::{Event, NextScan};
 use super::mapper::MapFeed;
 use super::priority::let_writers_go_first;
 use super::publishers::Publishers;
 use super::services::Reply;
-use super::subscriptions::Input;
-use super::transform_output::Rival;
+use super::sink::RawMessage;
+use super::transform_output::ConflictingPublisher;
 use super::worker::{Estimator, NodeInput as _};
 use crate::app::sensed::Sensed;
 use crate::app::{Answering as _, App, Estimate, InputError};
@@ -41,28 +41,28 @@ impl Matcher {
         Self { app, publishers, replies, map }
     }
 
-    fn hear(&mut self, input: Input, letter: &Letter, desk: &mut Desk) {
+    fn hear(&mut self, input: Input, raw: &RawMessage, desk: &mut Desk) {
         match input {
             Input::Scan | Input::Cloud | Input::Interrupt => {} // no events
-            Input::Odometry => self.take(input, letter, desk, |app, message| app.on_odometry(&message)),
-            Input::Imu => self.take(input, letter, desk, |app, message| app.on_imu(&message)),
-            Input::Velocity => self.take(input, letter, desk, |app, message| app.on_velocity(&message)),
+            Input::Odometry => self.take(input, raw, desk, |app, message| app.on_odometry(&message)),
+            Input::Imu => self.take(input, raw, desk, |app, message| app.on_imu(&message)),
+            Input::Velocity => self.take(input, raw, desk, |app, message| app.on_velocity(&message)),
             Input::StampedVelocity => {
-                self.take(input, letter, desk, |app, message: TwistStamped| app.on_velocity(&message.twist));
+                self.take(input, raw, desk, |app, message: TwistStamped| app.on_velocity(&message.twist));
             }
             Input::InitialPose => {
-                self.take(input, letter, desk, |app, message| app.on_initial_pose(&message, letter.arrival));
+                self.take(input, raw, desk, |app, message| app.on_initial_pose(&message, raw.arrival));
             }
-            Input::Contract => self.take(input, letter, desk, |app, message| app.on_contract(&message)),
+            Input::Contract => self.take(input, raw, desk, |app, message| app.on_contract(&message)),
             Input::Transforms | Input::StaticTransforms => {
                 let mut heard = None;
-                self.take(input, letter, desk, |app, message: TFMessage| {
+                self.take(input, raw, desk, |app, message: TFMessage| {
                     let outcome = app.on_transforms(&message);
                     heard = Some(message);
                     outcome
                 });
                 if let Some(message) = heard {
-                    self.give_way(&message, &letter.sender, desk);
+                    self.give_way(&message, &raw.sender, desk);
                 }
             }
         }
@@ -71,14 +71,14 @@ impl Matcher {
     fn take<T: Message>(
         &mut self,
         input: Input,
-        letter: &Letter,
+        raw: &RawMessage,
         desk: &mut Desk,
         take: impl FnOnce(&mut App, T) -> Result<(), InputError>,
     ) {
-        if let Some(message) = desk.reader.read(input.name(), letter)
+        if let Some(message) = desk.reader.read(input.name(), raw)
             && let Err(error) = take(&mut self.app, message)
         {
-            desk.reader.refuse(input.name(), &letter.sender, &error);
+            desk.reader.refuse(input.name(), &raw.sender, &error);
         }
     }
 
@@ -90,7 +90,7 @@ impl Matcher {
                 self.app.store_costs().map(|()| done).map_err(|error| error.to_string())
             }
         };
-        let _ = self.replies.send(outcome); // nobody waits any more when the node is ending
+        let _ = self.replies.send(outcome); // fails only while the node is ending
     }
 
     fn apply(&mut self, change: MatchingChange) {
@@ -103,18 +103,18 @@ impl Matcher {
     fn give_way(&self, message: &TFMessage, sender: &str, desk: &Desk) {
         let FrameKnobs { odom_frame, base_frame, .. } = &self.app.config().frames;
         for child in [base_frame, odom_frame] {
-            if let Some(rival) = Rival::find(message, sender, child) {
-                self.withhold(&rival, child, desk);
+            if let Some(other) = ConflictingPublisher::find(message, sender, child) {
+                self.withhold(&other, child, desk);
             }
         }
         // Another odometry in our frame, however many transforms it takes to the base: then it is not ours to say where that frame is.
         if self.app.transforms().carries(odom_frame, base_frame) {
-            self.withhold(&Rival::new(sender, odom_frame, base_frame), odom_frame, desk);
+            self.withhold(&ConflictingPublisher::new(sender, odom_frame, base_frame), odom_frame, desk);
         }
     }
 
-    fn withhold(&self, rival: &Rival, child: &str, desk: &Desk) {
-        if let Some(warning) = self.publishers.transform().give_way(rival, child) {
+    fn withhold(&self, other: &ConflictingPublisher, child: &str, desk: &Desk) {
+        if let Some(warning) = self.publishers.transform().give_way(other, child) {
             desk.log.warn(&warning);
             desk.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
@@ -143,12 +143,17 @@ impl Estimator for Matcher {
             Event::Reset => self.app.reset(),
             Event::SaveProfile => self.save_profile(),
             Event::Change(change) => self.apply(change),
-            Event::Message(input, letter) => self.hear(input, &letter, desk),
+            Event::Message(input, raw) => self.hear(input, &raw, desk),
         }
     }
 
     fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
         self.app.wait_for_odometry(stamp)
+    }
+
+    /// A map is the better for every scan: it may wait for as long as one is held back for its odometry.
+    fn patience_in_line(&self) -> Duration {
+        if self.map.is_some() { self.app.patience() } else { Duration::ZERO }
     }
 
     fn answer(&mut self, scan: &Sensed, arrival: Duration, desk: &mut Desk) {
@@ -159,13 +164,13 @@ impl Estimator for Matcher {
             if let Some(map) = map {
                 map.place(estimate);
             }
-            publishers.publish_pose(&Answer { estimate, number: number(app), frames: &app.config().frames });
+            publishers.publish_pose(&Outgoing { estimate, number: number(app), frames: &app.config().frames });
         });
         let (app, estimate) = answered.parts();
         desk.interrupts.publish(estimate);
         desk.urgency.set(false);
         let_writers_go_first();
-        let (now, answer) = (desk.clock.now(), Answer { estimate, number: number(app), frames: &app.config().frames });
+        let (now, answer) = (desk.clock.now(), Outgoing { estimate, number: number(app), frames: &app.config().frames });
         publishers.publish_details(&answer, app.odometry_counters(), desk.mailbox.dropped().scans);
         publishers.publish_display(&answer, app.matched_points(), now);
         let_writers_go_first();

@@ -2,7 +2,7 @@
 //! project knows of rosrust.
 //!
 //! ```text
-//!  threads of links           matching thread               main thread
+//!  reader threads             matching thread               main thread
 //!  subscriptions --> mailbox --> worker  --> publishers     supervisor: signals, diagnostics at 1 Hz, the master
 //!                              (matcher, particle_filter)
 //! ```
@@ -15,21 +15,19 @@ mod compat;
 pub mod contract_demo;
 mod convert;
 mod diagnostics;
-mod feed;
-mod fields;
-mod inlet;
+mod input;
 mod interrupts;
-mod links;
 mod live_params;
 mod log;
 mod mailbox;
-pub mod mapper;
+mod mapper;
+mod markers;
 mod master;
 mod matcher;
 mod node;
 mod node_api;
 mod numbering;
-mod outlet;
+mod output;
 mod params;
 pub mod particle_filter;
 mod path;
@@ -41,14 +39,16 @@ mod reader;
 mod services;
 mod shell;
 mod shutdown;
+mod sink;
 mod sockets;
 mod subscriptions;
 mod supervisor;
 mod tcpros;
+mod topic_subscription;
 mod transform_output;
 mod worker;
 
-pub use node::{run, run_as_laser_scan_matcher};
+pub use node::{run, run_as_laser_scan_matcher, run_mapper};
 
 use thiserror::Error;
 
@@ -70,10 +70,10 @@ pub enum NodeError {
         /// Which one, and what would be right.
         problem: ConfigError,
     },
-    /// The contract among the parameters is none.
+    /// The parameters give an invalid contract.
     #[error(transparent)]
     Contract(#[from] ContractError),
-    /// A file that the configuration names is of no use.
+    /// A file that the configuration names is unusable.
     #[error(transparent)]
     Start(#[from] StartError),
     /// The shared memory cannot be had.

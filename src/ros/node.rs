@@ -6,17 +6,17 @@ use rosrust::api::{Master, Ros};
 
 use super::compat::{self, Face};
 use super::diagnostics::{Diagnostics, Monitor, Task};
+use super::input::Input;
 use super::interrupts::Interrupts;
-use super::links::Links;
 use super::live_params::{Change, ParameterWatch};
 use super::log::Log;
 use super::mailbox::{Event, Mailbox};
-use super::mapper::Mapping;
+use super::mapper::{self, Mapping};
 use super::master::{MasterLink, resolved};
 use super::matcher::Matcher;
 use super::publishers::Publishers;
 use super::shutdown::StopSignal;
-use super::subscriptions::Input;
+use super::subscriptions::Subscriptions;
 use super::supervisor::{self, Parts, Supervisor};
 use super::transform_output::TransformOutput;
 use super::worker::{NodeInput as _, Shared, Worker, subscribe};
@@ -48,8 +48,21 @@ pub fn run_as_laser_scan_matcher() -> Result<(), NodeError> {
     })
 }
 
+/// The same with a map of what it has seen: the node `mapper`.
+pub fn run_mapper() -> Result<(), NodeError> {
+    shell::run("mapper", |ros, master, stop| {
+        let mut config = params::read(master, ros.name())?;
+        mapper::prepare(ros.name(), &mut config)?;
+        stop.hold(config.mapping.save_on_exit);
+        let mapping = |clock: &_, monitor: &_, log: &_| Mapping::start(ros, &config, clock, monitor, log).map(Some);
+        let outcome = serve(ros, master, stop, &config, &Face::native(&config), mapping);
+        stop.hold(false);
+        outcome
+    })
+}
+
 /// The scan matcher; `mapping` starts a map beside it, or none.
-pub(super) fn serve(
+fn serve(
     ros: &Ros,
     master: &Master,
     stop: &StopSignal,
@@ -99,15 +112,15 @@ fn start<'a>(
     app.set_interrupt(Arc::clone(&interrupts) as Arc<_>);
     let publishers = Publishers::new(ros, Arc::clone(transform), face)?;
     let diagnostics = Diagnostics::new(ros, TASK)?;
-    let mut roles = publishers.roles();
-    roles.extend(face.inputs.iter().map(|input| input.topic().role()));
+    let mut registrations = publishers.registrations();
+    registrations.extend(face.inputs.iter().map(|input| input.topic().registration()));
 
     let (save_profile, replies) = services::save_profile(ros, &mailbox)?;
     let mut services = vec![services::reset(ros, RESET, &mailbox)?, save_profile];
     let mut feed = None;
     if let Some(mapping) = mapping {
         services.append(&mut mapping.services);
-        roles.append(&mut mapping.roles);
+        registrations.append(&mut mapping.registrations);
         feed = mapping.feed.take();
     }
     let shared = Shared {
@@ -120,15 +133,15 @@ fn start<'a>(
     };
     let matcher = Matcher::new(app, publishers, replies, feed);
     let worker = supervisor::spawn("matching", || Worker::new(matcher, shared).run(None))?;
-    let links = Links::new(ros, &clock, log)?;
-    face.inputs.iter().try_for_each(|&input| subscribe(&links, input, &mailbox, &interrupts))?;
-    Ok(Parts { clock, mailbox, monitor, diagnostics, worker, links, services, roles })
+    let subscriptions = Subscriptions::new(ros, &clock, log)?;
+    face.inputs.iter().try_for_each(|&input| subscribe(&subscriptions, input, &mailbox, &interrupts))?;
+    Ok(Parts { clock, mailbox, monitor, diagnostics, worker, subscriptions, services, registrations })
 }
 
 /// Parameters that are changed while the node runs.
 struct Changes<'a> {
     watch: ParameterWatch<'a>,
-    mailbox: Arc<Mailbox>,
+    mailbox: Arc<Mailbox<Input>>,
     transform: Arc<TransformOutput>,
     ros: &'a Ros,
     log: Log,
@@ -149,7 +162,7 @@ impl Changes<'_> {
             Change::Matching(change) => self.mailbox.put_event(Event::Change(change)),
             Change::PublishTransform { child, on } => {
                 self.transform.switch(self.ros, &child, on).map_err(|error| error.to_string())?;
-                self.transform.role().into_iter().for_each(|role| master.add(role));
+                self.transform.registration().into_iter().for_each(|registration| master.add(registration));
             }
         }
         Ok(())

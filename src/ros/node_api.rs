@@ -16,11 +16,12 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::thread;
 
 use rosrust::api::resolve;
+use rosrust::{Message, Publisher};
 use xml_rpc::{Fault, Params, Response, Server, Url, Value};
 
 use super::NodeError;
 
-/// Where rosrust looks for its master, unless an argument tells.
+/// Where rosrust looks for its master, unless an argument says otherwise.
 const MASTER: &str = "ROS_MASTER_URI";
 const MASTER_ARGUMENT: &str = "__master:=";
 /// The calls that rosrust makes of its master.
@@ -57,15 +58,15 @@ struct NodeApi {
     master: Url,
     /// rosrust's own address, once it has told it.
     rosrust: OnceLock<String>,
-    inputs: Mutex<Weak<dyn Inputs>>,
+    inputs: Mutex<Option<Weak<dyn Inputs>>>,
     outputs: Mutex<Vec<Output>>,
 }
 
-/// What the node hears.
+/// What the node is subscribed to.
 pub(super) trait Inputs: Send + Sync {
     /// Topics and their types.
     fn topics(&self) -> Vec<(String, String)>;
-    /// Topics and the nodes that they are heard from.
+    /// Topics and the publishers they are connected to.
     fn connections(&self) -> Vec<(String, String)>;
     /// The master knows other publishers of a topic than before.
     fn look_again(&self);
@@ -77,19 +78,6 @@ type Listeners = Box<dyn Fn() -> Option<Vec<String>> + Send>;
 struct Output {
     topic: String,
     listeners: Listeners,
-}
-
-/// No inputs so far.
-struct Nothing;
-
-impl Inputs for Nothing {
-    fn topics(&self) -> Vec<(String, String)> {
-        Vec::new()
-    }
-    fn connections(&self) -> Vec<(String, String)> {
-        Vec::new()
-    }
-    fn look_again(&self) {}
 }
 
 /// Begins to answer for the node; to be called before rosrust starts, and while no other thread reads the environment. Where an argument
@@ -105,8 +93,7 @@ pub(super) fn start() -> Result<(), NodeError> {
     let is_local = host == "localhost" || host.starts_with("127.");
     let interface = serve(interface(), if is_local { &host } else { "0.0.0.0" })?;
     let uri = format!("http://{host}:{}/", interface.port());
-    let inputs = Mutex::new(Weak::<Nothing>::new() as Weak<dyn Inputs>);
-    let _ = NODE.set(NodeApi { uri, master: url, rosrust: OnceLock::new(), inputs, outputs: Mutex::default() });
+    let _ = NODE.set(NodeApi { uri, master: url, rosrust: OnceLock::new(), inputs: Mutex::default(), outputs: Mutex::default() });
     // SAFETY: The threads that there are wait for signals and connections, and do not read the environment.
     unsafe { env::set_var(MASTER, format!("http://localhost:{}/", stand_in.port())) };
     Ok(())
@@ -122,24 +109,28 @@ pub(super) fn uri(rosrusts: &str) -> &str {
     NODE.get().map_or(rosrusts, |node| &node.uri)
 }
 
-/// What the node hears from now on.
+/// Sets what the node is subscribed to.
 pub(super) fn set_inputs(inputs: &Arc<impl Inputs + 'static>) {
     if let Some(node) = NODE.get() {
-        let inputs: Weak<dyn Inputs> = Arc::downgrade(inputs) as Weak<dyn Inputs>;
-        *lock(&node.inputs) = inputs;
+        let inputs = Arc::downgrade(inputs);
+        *lock(&node.inputs) = Some(inputs);
     }
 }
 
-/// What the node publishes, too, for as long as there are `listeners`.
-pub(super) fn add_output(topic: String, listeners: impl Fn() -> Option<Vec<String>> + Send + 'static) {
+/// A publisher that `rosnode info` lists as long as it lives.
+pub(super) fn listed<T: Message>(topic: String, publisher: Publisher<T>) -> Arc<Publisher<T>> {
+    let publisher = Arc::new(publisher);
     if let Some(node) = NODE.get() {
-        lock(&node.outputs).push(Output { topic, listeners: Box::new(listeners) });
+        let weak = Arc::downgrade(&publisher);
+        let listeners = Box::new(move || Some(weak.upgrade()?.subscriber_names()));
+        lock(&node.outputs).push(Output { topic, listeners });
     }
+    publisher
 }
 
 impl NodeApi {
     fn inputs(&self) -> Option<Arc<dyn Inputs>> {
-        lock(&self.inputs).upgrade()
+        lock(&self.inputs).as_ref()?.upgrade()
     }
 
     /// Topics that are published, with their listeners.
@@ -286,7 +277,7 @@ fn replace(arguments: &mut [Value], old: &str, new: &str) {
     }
 }
 
-/// What is locked here is whole at every moment, even if a thread should have died with the lock in its hand.
+/// What is locked here is consistent at every moment, even if a thread has panicked while it held the lock.
 fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

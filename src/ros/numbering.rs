@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::inlet::Letter;
+use super::sink::RawMessage;
 
 /// Gaps in the numbering of scans that are longer than this are no losses but another numbering.
 const MAX_GAP: u32 = 100;
@@ -15,9 +15,9 @@ pub(super) struct Numbering {
 
 impl Numbering {
     /// How many numbers were left out before this message. Every message with a header begins with its number.
-    pub(super) fn lost_before(&mut self, letter: &Letter) -> u32 {
-        let Some(number) = letter.bytes.first_chunk().map(|bytes| u32::from_le_bytes(*bytes)) else { return 0 };
-        let Some(last) = self.last.insert(letter.sender.clone(), number) else { return 0 };
+    pub(super) fn lost_before(&mut self, message: &RawMessage) -> u32 {
+        let Some(number) = message.bytes.first_chunk().map(|bytes| u32::from_le_bytes(*bytes)) else { return 0 };
+        let Some(last) = self.last.insert(message.sender.clone(), number) else { return 0 };
         let lost = number.wrapping_sub(last).saturating_sub(1);
         if lost <= MAX_GAP { lost } else { 0 }
     }
@@ -33,7 +33,7 @@ mod tests {
         let mut numbering = Numbering::default();
         let mut lost = |sender: &str, number: u32| {
             let bytes = number.to_le_bytes().to_vec();
-            numbering.lost_before(&Letter { arrival: Duration::ZERO, sender: sender.into(), bytes })
+            numbering.lost_before(&RawMessage { arrival: Duration::ZERO, sender: sender.into(), bytes })
         };
         assert_eq!([lost("/a", 7), lost("/a", 8), lost("/a", 11)], [0, 0, 2]);
         assert_eq!([lost("/b", 0), lost("/b", 0), lost("/b", 0)], [0, 0, 0], "a sender that does not count");

@@ -3,9 +3,8 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use rosrust_msg::geometry_msgs::PoseStamped;
-
 use crate::geometry::Pose2;
+use crate::messages::geometry_msgs::PoseStamped;
 
 /// Poses kept: 500 m at the spacing below.
 const MAX_POSES: usize = 10_000;

@@ -1,109 +1,24 @@
-//! What the node says.
+//! Outputs of the node.
 
-use std::marker::PhantomData;
 use std::sync::Arc;
 use std::time::Duration;
 
 use rosrust::api::Ros;
-use rosrust::{Message, Publisher, RawMessage, RawMessageDescription};
-use rosrust_msg::anytime_scan_matcher::MatchReport;
-use rosrust_msg::geometry_msgs::PoseStamped;
-use rosrust_msg::nav_msgs::{Odometry, Path};
-use rosrust_msg::std_msgs::Int32;
-use rosrust_msg::visualization_msgs::Marker;
 
 use super::NodeError;
 use super::compat::{Face, PoseOutputs};
-use super::convert::Answer;
-use super::master::{Role, resolved};
-use super::node_api;
+use super::convert::Outgoing;
+use super::master::MasterRegistration;
+use super::output::Output;
 use super::path::PathHistory;
-use super::priority::urgently;
 use super::transform_output::TransformOutput;
+use crate::messages::geometry_msgs::PoseStamped;
+use crate::messages::nav_msgs::{Odometry, Path};
+use crate::messages::own::MatchReport;
+use crate::messages::std_msgs::Int32;
+use crate::messages::visualization_msgs::Marker;
 use crate::odometry::{MatchedPoints, OdometryCounters, Outcome};
 use crate::time::Stamp;
-
-/// Messages that may wait for a subscriber: a bag played fast makes bursts of answers, and of `icp_state` every edge counts.
-const QUEUE: usize = 100;
-
-/// A publisher that `rosnode info` tells of for as long as it lives.
-pub(super) fn listed<T: Message>(topic: String, publisher: Publisher<T>) -> Arc<Publisher<T>> {
-    let publisher = Arc::new(publisher);
-    let weak = Arc::downgrade(&publisher);
-    node_api::add_output(topic, move || Some(weak.upgrade()?.subscriber_names()));
-    publisher
-}
-
-/// A topic that messages of one type leave by.
-///
-/// rosrust writes the present time over stamps of zero and its own numbers over ours, so it is given bytes.
-pub(super) struct Output<T> {
-    topic: &'static str,
-    resolved: String,
-    message_type: String,
-    publisher: Arc<Publisher<RawMessage>>,
-    message: PhantomData<fn(T)>,
-}
-
-impl<T> Output<T> {
-    /// A topic of messages of this description.
-    pub(super) fn described(ros: &Ros, topic: &'static str, description: RawMessageDescription) -> Result<Self, NodeError> {
-        let message_type = description.msg_type.clone();
-        let publisher = ros
-            .publish_with_description(topic, QUEUE, description)
-            .map_err(|error| NodeError::ros(format!("publish '{topic}'"), &error))?;
-        let resolved = resolved(ros, topic)?;
-        let publisher = listed(resolved.clone(), publisher);
-        Ok(Self { topic, resolved, message_type, publisher, message: PhantomData })
-    }
-
-    /// New listeners are given the last message at once.
-    pub(super) fn latched(self) -> Self {
-        let mut publisher = Publisher::clone(&self.publisher);
-        publisher.set_latching(true);
-        Self { publisher: listed(self.resolved.clone(), publisher), ..self }
-    }
-
-    pub(super) fn has_listeners(&self) -> bool {
-        self.publisher.subscriber_count() > 0
-    }
-
-    /// Hands the wire form of a message over, if anybody listens; what it takes to make it is spent only then.
-    pub(super) fn send_bytes(&self, bytes: impl FnOnce() -> Vec<u8>) {
-        if self.has_listeners() {
-            self.keep_bytes(bytes());
-        }
-    }
-
-    /// Hands the wire form of a message over, even if nobody listens yet.
-    pub(super) fn keep_bytes(&self, bytes: Vec<u8>) {
-        let _ = self.publisher.send(RawMessage(bytes)); // only queues
-    }
-
-    pub(super) fn role(&self) -> Role {
-        Role::Publisher { topic: self.topic, message_type: self.message_type.clone() }
-    }
-}
-
-impl<T: Message> Output<T> {
-    pub(super) fn new(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
-        Self::described(ros, topic, RawMessageDescription::from_message::<T>())
-    }
-
-    /// A topic of what a controller waits for: the thread that writes its messages goes before all programs of normal priority.
-    pub(super) fn urgent(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
-        urgently(|| Self::new(ros, topic))
-    }
-
-    /// Hands a message over, as [`Self::send_bytes`] does.
-    pub(super) fn send(&self, message: impl FnOnce() -> T) {
-        self.send_bytes(|| {
-            let mut bytes = Vec::new();
-            let _ = message().encode(&mut bytes); // cannot fail: it writes to memory
-            bytes
-        });
-    }
-}
 
 /// Every topic that an answer leaves by.
 pub(super) struct Publishers {
@@ -129,7 +44,7 @@ impl Publishers {
             state: Output::urgent(ros, "icp_state")?,
             odometry: Output::new(ros, "icp/odom")?,
             report: Output::new(ros, "icp_report")?,
-            path: Output::new(ros, "icp/path")?.latched(),
+            path: Output::latched(ros, "icp/path")?,
             debug: Output::new(ros, "scan_match_debug")?,
             transform,
             compat: face.poses.map(|wanted| PoseOutputs::new(ros, wanted)).transpose()?,
@@ -139,11 +54,21 @@ impl Publishers {
         })
     }
 
-    /// How the topics stand in the master's books.
-    pub(super) fn roles(&self) -> Vec<Role> {
-        let always =
-            [self.pose.role(), self.state.role(), self.odometry.role(), self.report.role(), self.path.role(), self.debug.role()];
-        always.into_iter().chain(self.transform.role()).chain(self.compat.iter().flat_map(PoseOutputs::roles)).collect()
+    /// How the topics are registered with the master.
+    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
+        let always = [
+            self.pose.registration(),
+            self.state.registration(),
+            self.odometry.registration(),
+            self.report.registration(),
+            self.path.registration(),
+            self.debug.registration(),
+        ];
+        always
+            .into_iter()
+            .chain(self.transform.registration())
+            .chain(self.compat.iter().flat_map(PoseOutputs::registrations))
+            .collect()
     }
 
     /// Whether anybody looks at matched points.
@@ -156,8 +81,8 @@ impl Publishers {
         &self.transform
     }
 
-    /// What the controller waits for: the pose, and the edge that says it is there.
-    pub(super) fn publish_pose(&mut self, answer: &Answer) {
+    /// What the controller waits for: the pose, and the edge that signals it.
+    pub(super) fn publish_pose(&mut self, answer: &Outgoing) {
         self.pose.send(|| answer.pose_stamped());
         if let Some(compat) = &self.compat {
             compat.publish(answer);
@@ -167,14 +92,14 @@ impl Publishers {
     }
 
     /// Everything else. The counts go into the report.
-    pub(super) fn publish_details(&mut self, answer: &Answer, counters: &OdometryCounters, dropped: u64) {
+    pub(super) fn publish_details(&mut self, answer: &Outgoing, counters: &OdometryCounters, dropped: u64) {
         self.publish_transform(answer);
         self.odometry.send(|| answer.odometry());
         self.report.send(|| answer.report(counters, dropped));
     }
 
     /// tf does not want a stamp twice, and a transform of the past would only say what an answer out of order repeats.
-    fn publish_transform(&mut self, answer: &Answer) {
+    fn publish_transform(&mut self, answer: &Outgoing) {
         let (stamp, outcome) = (answer.estimate.stamp, &answer.estimate.registration.outcome);
         if *outcome == Outcome::First || self.last_transform.is_none_or(|last| stamp > last) {
             self.last_transform = Some(stamp);
@@ -183,7 +108,7 @@ impl Publishers {
     }
 
     /// What people look at.
-    pub(super) fn publish_display(&mut self, answer: &Answer, matched_points: Option<&MatchedPoints>, now: Duration) {
+    pub(super) fn publish_display(&mut self, answer: &Outgoing, matched_points: Option<&MatchedPoints>, now: Duration) {
         let registration = &answer.estimate.registration;
         if registration.outcome == Outcome::First {
             self.history.clear();

@@ -1,19 +1,19 @@
-//! Reading messages, and saying which cannot be used and why, of each subject at most once a second.
+//! Decodes messages, and warns of those that cannot be used, at most once a second for each subject.
 
 use std::error::Error;
 use std::sync::Arc;
 
 use super::diagnostics::Monitor;
-use super::inlet::Letter;
 use super::log::{Log, Throttle};
+use super::sink::RawMessage;
 use crate::anytime::clock::Clock;
 use crate::messages::{Message, decode};
 
-/// What a thread that works on messages reads them by.
+/// Decodes messages for one thread.
 pub(super) struct Reader {
     clock: Arc<dyn Clock>,
     log: Log,
-    /// What counts the messages that are refused.
+    /// Counts the messages that are rejected.
     monitor: Option<Arc<Monitor>>,
     throttle: Throttle,
 }
@@ -23,17 +23,17 @@ impl Reader {
         Self { clock: Arc::clone(clock), log: log.clone(), monitor: None, throttle: Throttle::default() }
     }
 
-    /// The same; what is refused is counted.
+    /// The same; rejected messages are counted.
     pub(super) fn counting(self, monitor: &Arc<Monitor>) -> Self {
         Self { monitor: Some(Arc::clone(monitor)), ..self }
     }
 
-    /// The message of a letter, if it is one. `subject`: what it is called where it is none.
-    pub(super) fn read<T: Message>(&mut self, subject: &'static str, letter: &Letter) -> Option<T> {
-        decode(&letter.bytes).map_err(|error| self.refuse(subject, &letter.sender, &error)).ok()
+    /// Decodes a message. `subject`: its name in the warning if that fails.
+    pub(super) fn read<T: Message>(&mut self, subject: &'static str, raw: &RawMessage) -> Option<T> {
+        decode(&raw.bytes).map_err(|error| self.refuse(subject, &raw.sender, &error)).ok()
     }
 
-    /// A message is of no use.
+    /// Counts a message that is rejected, and warns.
     pub(super) fn refuse(&mut self, subject: &'static str, sender: &str, problem: &dyn Error) {
         if let Some(monitor) = &self.monitor {
             monitor.count_refused();
@@ -41,7 +41,7 @@ impl Reader {
         self.warn(subject, &format!("a message from {sender} is refused: {problem}"));
     }
 
-    /// Something else about a subject.
+    /// Another warning about a subject.
     pub(super) fn warn(&mut self, subject: &'static str, text: &str) {
         if self.throttle.allows(subject, self.clock.now()) {
             self.log.warn(&format!("{subject}: {text}"));

@@ -12,11 +12,11 @@ use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
 use super::mailbox::{Event, Mailbox};
-use super::master::Role;
+use super::master::MasterRegistration;
 use crate::messages::{encode, nav_msgs};
 
 /// Longest wait for the matching thread, which may be amid a long match.
-const PATIENCE: Duration = Duration::from_secs(5);
+const TIMEOUT: Duration = Duration::from_secs(5);
 
 /// What came of a call, in words.
 pub(super) type Reply = Result<String, String>;
@@ -41,9 +41,9 @@ impl Service {
         Ok(Self { name, _offered: offered.map_err(failed)? })
     }
 
-    /// How it stands in the master's books.
-    pub(super) fn role(&self, ros: &Ros) -> Result<Role, NodeError> {
-        Role::of_service(ros, self.name)
+    /// How it is registered with the master.
+    pub(super) fn registration(&self, ros: &Ros) -> Result<MasterRegistration, NodeError> {
+        MasterRegistration::of_service(ros, self.name)
     }
 }
 
@@ -109,14 +109,17 @@ pub(super) fn ordered<O: Send + 'static>(
 }
 
 /// The service that puts [`Event::SaveProfile`] into the mailbox, and by what it is to be answered.
-pub(super) fn save_profile(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<(Service, Sender<Reply>), NodeError> {
+pub(super) fn save_profile<I: Send + 'static>(
+    ros: &Ros,
+    mailbox: &Arc<Mailbox<I>>,
+) -> Result<(Service, Sender<Reply>), NodeError> {
     let (mailbox, (sender, replies)) = (Arc::clone(mailbox), channel());
     let replies = Mutex::new(replies);
     let save = move || {
         let replies = replies.lock().unwrap_or_else(PoisonError::into_inner);
-        while replies.try_recv().is_ok() {} // those that nobody waited for
+        while replies.try_recv().is_ok() {} // late replies to earlier calls
         mailbox.put_event(Event::SaveProfile);
-        replies.recv_timeout(PATIENCE).unwrap_or_else(|_| Err("the matching is too busy: try again".into()))
+        replies.recv_timeout(TIMEOUT).unwrap_or_else(|_| Err("the matching is too busy: try again".into()))
     };
     Ok((Service::offer(ros, "~save_profile", save)?, sender))
 }

@@ -17,6 +17,6 @@ pub(super) fn run(name: &str, serve: impl FnOnce(&Ros, &Master, &StopSignal) -> 
     }
     let ros = Ros::new(name).map_err(|error| NodeError::ros("start as a ROS node", &error))?;
     let outcome = connect(ros.name(), ros.uri()).and_then(|master| serve(&ros, &master, &stop));
-    ros.shutdown_sender().shutdown(); // takes the last entry out of the master's books: rosrust's own publisher of /rosout
+    ros.shutdown_sender().shutdown(); // removes the last registration with the master: rosrust's own publisher of /rosout
     outcome
 }

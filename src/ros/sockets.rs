@@ -12,9 +12,9 @@ use std::time::Duration;
 use socket2::SockRef;
 
 /// A subscriber that does not read for so long is cut off; it may come back.
-const PATIENCE_TO_WRITE: Duration = Duration::from_millis(100);
+const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
 /// For the header of a new subscriber or caller.
-const PATIENCE_TO_READ: Duration = Duration::from_secs(1);
+const READ_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Tunes all sockets of this process at these ports; those that cannot be tuned work as before.
 pub(super) fn tune(ports: &HashSet<u16>) {
@@ -25,8 +25,8 @@ pub(super) fn tune(ports: &HashSet<u16>) {
         let port = socket.local_addr().ok().and_then(|address| Some(address.as_socket()?.port()));
         if port.is_some_and(|port| ports.contains(&port)) {
             let _ = socket.set_nodelay(true);
-            let _ = socket.set_write_timeout(Some(PATIENCE_TO_WRITE));
-            let _ = socket.set_read_timeout(Some(PATIENCE_TO_READ));
+            let _ = socket.set_write_timeout(Some(WRITE_TIMEOUT));
+            let _ = socket.set_read_timeout(Some(READ_TIMEOUT));
         }
     }
 }
@@ -45,8 +45,8 @@ mod tests {
         let (_after, (later, _)) = (TcpStream::connect(address).unwrap(), listener.accept().unwrap());
         for socket in [earlier, later] {
             assert!(socket.nodelay().unwrap());
-            assert_eq!(socket.write_timeout().unwrap(), Some(PATIENCE_TO_WRITE));
-            assert_eq!(socket.read_timeout().unwrap(), Some(PATIENCE_TO_READ));
+            assert_eq!(socket.write_timeout().unwrap(), Some(WRITE_TIMEOUT));
+            assert_eq!(socket.read_timeout().unwrap(), Some(READ_TIMEOUT));
         }
         assert!(!SockRef::from(&other).nodelay().unwrap());
     }

@@ -8,12 +8,12 @@ use rosrust::api::{Master, Ros};
 
 use super::NodeError;
 use super::diagnostics::{self, Diagnostics, Monitor};
-use super::links::Links;
-use super::log::{Log, ROSOUT};
+use super::log::Log;
 use super::mailbox::Mailbox;
-use super::master::{MasterLink, Role};
+use super::master::{MasterLink, MasterRegistration};
 use super::services::Service;
 use super::shutdown::StopSignal;
+use super::subscriptions::Subscriptions;
 use crate::anytime::clock::Clock;
 
 /// How often the node looks whether it is to stop.
@@ -27,10 +27,10 @@ pub(super) struct Parts<'a, I> {
     pub(super) diagnostics: Diagnostics,
     /// Ends when the mailbox is closed.
     pub(super) worker: JoinHandle<()>,
-    pub(super) links: Links<'a>,
+    pub(super) subscriptions: Subscriptions<'a>,
     pub(super) services: Vec<Service>,
-    /// How its topics stand in the master's books.
-    pub(super) roles: Vec<Role>,
+    /// How its topics are registered with the master.
+    pub(super) registrations: Vec<MasterRegistration>,
 }
 
 /// Starts the thread that does the work.
@@ -47,19 +47,19 @@ pub(super) struct Supervisor<'a, I> {
 }
 
 impl<'a, I> Supervisor<'a, I> {
-    /// Knows how the node stands in the master's books.
+    /// Knows how the node is registered with the master.
     pub(super) fn new(ros: &'a Ros, master: &'a Master, mut parts: Parts<'a, I>, log: &Log) -> Result<Self, NodeError> {
-        let mut roles = std::mem::take(&mut parts.roles);
-        roles.extend([parts.diagnostics.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
+        let mut registrations = std::mem::take(&mut parts.registrations);
+        registrations.extend([parts.diagnostics.registration(), MasterRegistration::ROSOUT]);
         for service in &parts.services {
-            roles.push(service.role(ros)?);
+            registrations.push(service.registration(ros)?);
         }
-        let master = MasterLink::new(ros, master, roles, log)?;
+        let master = MasterLink::new(ros, master, registrations, log)?;
         Ok(Self { ros, parts, master })
     }
 
-    /// Once a second: the master, what else there is to `care` for while it answers, and the diagnostics. Until somebody wants the node
-    /// to stop.
+    /// Once a second: the master, what else there is to `care` for while it answers, and the diagnostics. Runs until it is told to
+    /// stop.
     pub(super) fn run(mut self, stop: &StopSignal, mut care: impl FnMut(&mut MasterLink)) {
         let parts = &mut self.parts;
         let mut last = parts.clock.now();
@@ -71,7 +71,7 @@ impl<'a, I> Supervisor<'a, I> {
                 if self.master.is_present() {
                     care(&mut self.master);
                 }
-                parts.monitor.set_too_long(parts.links.refused());
+                parts.monitor.set_too_long(parts.subscriptions.refused());
                 let (dropped, present) = (parts.mailbox.dropped(), self.master.is_present());
                 parts.diagnostics.publish(self.ros, &parts.monitor, dropped, present, elapsed.as_secs_f64());
             }

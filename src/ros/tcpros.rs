@@ -19,7 +19,7 @@ const MAX_HEADER: u32 = 1 << 20;
 /// Memory taken for a message before any byte of it is here.
 const ON_CREDIT: usize = 1 << 16;
 /// For the other side to accept a connection, and for its header.
-const PATIENCE: Duration = Duration::from_secs(3);
+const TIMEOUT: Duration = Duration::from_secs(3);
 /// A machine that is silent for so long is asked whether it is still there.
 const SILENCE: Duration = Duration::from_secs(5);
 const PROBE_PERIOD: Duration = Duration::from_secs(1);
@@ -34,7 +34,7 @@ pub(super) enum LinkError {
     Unreachable(String),
     #[error("{0}")]
     Socket(#[from] io::Error),
-    #[error("its header is none ({0})")]
+    #[error("malformed header ({0})")]
     BadHeader(&'static str),
     #[error("it refuses: {0}")]
     Refused(String),
@@ -59,8 +59,8 @@ pub(super) fn request_topic(uri: &str, caller: &str, topic: &str) -> Result<(Str
 /// Connects to a publisher of `topic`, of whatever type: its header says which.
 pub(super) fn connect(address: &(String, u16), caller: &str, topic: &str) -> Result<(TcpStream, Header), LinkError> {
     let mut stream = open(address)?;
-    stream.set_read_timeout(Some(PATIENCE))?;
-    stream.set_write_timeout(Some(PATIENCE))?;
+    stream.set_read_timeout(Some(TIMEOUT))?;
+    stream.set_write_timeout(Some(TIMEOUT))?;
     let fields = [("callerid", caller), ("topic", topic), ("md5sum", "*"), ("type", "*"), ("tcp_nodelay", "1")];
     stream.write_all(&encode_header(&fields))?;
     let header = parse_header(&read_block(&mut stream, MAX_HEADER)?)?;
@@ -81,7 +81,7 @@ pub(super) fn read_message(stream: &mut impl Read) -> Result<Vec<u8>, LinkError>
 fn open(address: &(String, u16)) -> Result<TcpStream, LinkError> {
     let mut problem = io::Error::from(io::ErrorKind::AddrNotAvailable);
     for address in address.to_socket_addrs()? {
-        match TcpStream::connect_timeout(&address, PATIENCE) {
+        match TcpStream::connect_timeout(&address, TIMEOUT) {
             Ok(stream) => return Ok(stream),
             Err(error) => problem = error,
         }

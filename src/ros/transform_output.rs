@@ -4,25 +4,24 @@ use std::collections::BTreeSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use rosrust::api::Ros;
-use rosrust_msg::geometry_msgs::TransformStamped;
-use rosrust_msg::tf2_msgs::TFMessage;
 
 use super::NodeError;
-use super::master::Role;
-use super::publishers::Output;
-use crate::messages::tf2_msgs as messages;
+use super::master::MasterRegistration;
+use super::output::Output;
+use crate::messages::geometry_msgs::TransformStamped;
+use crate::messages::tf2_msgs::TFMessage;
 use crate::transforms::frame_name;
 
 /// Another node's transform.
-pub(super) struct Rival<'a> {
+pub(super) struct ConflictingPublisher<'a> {
     sender: &'a str,
     parent: &'a str,
     child: &'a str,
 }
 
-impl<'a> Rival<'a> {
+impl<'a> ConflictingPublisher<'a> {
     /// The transform that says where `child` is, if the message has one.
-    pub(super) fn find(message: &'a messages::TFMessage, sender: &'a str, child: &'a str) -> Option<Self> {
+    pub(super) fn find(message: &'a TFMessage, sender: &'a str, child: &'a str) -> Option<Self> {
         let child = frame_name(child);
         let transform = message.transforms.iter().find(|transform| frame_name(&transform.child_frame_id) == child)?;
         Some(Self { sender, parent: frame_name(&transform.header.frame_id), child })
@@ -62,8 +61,8 @@ impl TransformOutput {
 
     /// A frame has one parent. Who else publishes one was there first, or knows better, as a simulator does: then the place of `child`
     /// is said no more, if it was, and this is what to tell of it.
-    pub(super) fn give_way(&self, rival: &Rival, child: &str) -> Option<String> {
-        let Rival { sender, parent, child: rival } = rival;
+    pub(super) fn give_way(&self, rival: &ConflictingPublisher, child: &str) -> Option<String> {
+        let ConflictingPublisher { sender, parent, child: rival } = rival;
         self.lock().remove(child).then(|| {
             format!(
                 "{sender} publishes the transform {parent} -> {rival}: this node's own to {child} is held back from now on, as a frame \
@@ -81,9 +80,9 @@ impl TransformOutput {
         }
     }
 
-    /// How it stands in the master's books.
-    pub(super) fn role(&self) -> Option<Role> {
-        self.lock().output.as_ref().map(Output::role)
+    /// How it is registered with the master.
+    pub(super) fn registration(&self) -> Option<MasterRegistration> {
+        self.lock().output.as_ref().map(Output::registration)
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {

@@ -6,14 +6,14 @@ use std::time::Duration;
 
 use super::NodeError;
 use super::diagnostics::{MOUNT_ASSUMED, Monitor};
-use super::inlet::{Letter, Topic, listen};
 use super::interrupts::Interrupts;
-use super::links::Links;
 use super::log::Log;
 use super::mailbox::{Event, Mailbox, Work};
 use super::numbering::Numbering;
 use super::priority::Urgency;
 use super::reader::Reader;
+use super::sink::{RawMessage, Topic};
+use super::subscriptions::Subscriptions;
 use crate::anytime::clock::Clock;
 use crate::anytime::timer::Timer;
 use crate::app::MountSource;
@@ -22,14 +22,14 @@ use crate::time::Stamp;
 use crate::transforms::Mount;
 
 /// Transforms may come a little later than the first scans do.
-const PATIENCE_FOR_MOUNT: Duration = Duration::from_secs(2);
+const MOUNT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// What becomes of a message.
+/// How a message is handled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// It is answered, unless a newer one takes its place.
+    /// It is answered, unless a newer one replaces it.
     Scan,
-    /// It calls for the answer.
+    /// It asks for the answer now.
     Interrupt,
     /// It is taken into account, in the order of arrival.
     Event,
@@ -55,7 +55,7 @@ pub(super) trait NodeInput: Copy + Send + Sync + 'static {
 
 /// Subscribes to `input`; what comes goes into the mailbox.
 pub(super) fn subscribe<I: NodeInput>(
-    links: &Links,
+    subscriptions: &Subscriptions,
     input: I,
     mailbox: &Arc<Mailbox<I>>,
     interrupts: &Arc<Interrupts>,
@@ -63,15 +63,15 @@ pub(super) fn subscribe<I: NodeInput>(
     let (mailbox, interrupts) = (Arc::clone(mailbox), Arc::clone(interrupts));
     let mut numbering = Numbering::default();
     let kind = input.kind();
-    let receive = move |letter: Letter| match kind {
+    let receive = move |raw: RawMessage| match kind {
         Kind::Scan => {
-            mailbox.count_lost_scans(numbering.lost_before(&letter).into());
-            mailbox.put_scan(letter);
+            mailbox.count_lost_scans(numbering.lost_before(&raw).into());
+            mailbox.put_scan(raw);
         }
         Kind::Interrupt => interrupts.request(),
-        Kind::Event => mailbox.put_event(Event::Message(input, letter)),
+        Kind::Event => mailbox.put_event(Event::Message(input, raw)),
     };
-    listen(links, input.topic(), receive)
+    subscriptions.listen(input.topic(), receive)
 }
 
 /// What the working thread shares with the rest of the node.
@@ -109,11 +109,11 @@ impl<I> Desk<I> {
         Self { mailbox, interrupts, clock, monitor, log, reader, urgency, takes_clouds, mount_told: None, first_answer: None }
     }
 
-    fn read_sensed(&mut self, letter: &Letter) -> Option<Sensed> {
+    fn read_sensed(&mut self, raw: &RawMessage) -> Option<Sensed> {
         if self.takes_clouds {
-            self.reader.read("cloud", letter).map(Sensed::Cloud)
+            self.reader.read("cloud", raw).map(Sensed::Cloud)
         } else {
-            self.reader.read("scan", letter).map(Sensed::Scan)
+            self.reader.read("scan", raw).map(Sensed::Scan)
         }
     }
 
@@ -121,7 +121,7 @@ impl<I> Desk<I> {
     pub(super) fn watch_mount(&mut self, (mount, source): (Mount, MountSource)) {
         let now = self.clock.now();
         let waited = now.saturating_sub(*self.first_answer.get_or_insert(now));
-        if self.mount_told == Some(source) || (source == MountSource::Assumed && waited < PATIENCE_FOR_MOUNT) {
+        if self.mount_told == Some(source) || (source == MountSource::Assumed && waited < MOUNT_TIMEOUT) {
             return;
         }
         self.mount_told = Some(source);
@@ -149,7 +149,7 @@ impl<I> Desk<I> {
 
 /// The algorithm of a node.
 pub(super) trait Estimator {
-    /// What it hears.
+    /// Its inputs.
     type Input: NodeInput;
     /// Whether a scan is to wake the thread at once, before all programs of normal priority; else what came with it is heard first.
     const WAKES_AT_ONCE: bool;
@@ -162,6 +162,11 @@ pub(super) trait Estimator {
 
     /// How long to hold back a scan of this stamp for odometry; `None`: answer it now.
     fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration>;
+
+    /// How long a scan may wait in line while those before it are answered; for none: a newer one takes its place.
+    fn patience_in_line(&self) -> Duration {
+        Duration::ZERO
+    }
 
     /// Answers a scan that arrived when the clock read `arrival`.
     fn answer(&mut self, scan: &Sensed, arrival: Duration, desk: &mut Desk<Self::Input>);
@@ -178,7 +183,7 @@ pub(super) struct Worker<E: Estimator> {
     estimator: E,
     desk: Desk<E::Input>,
     /// The newest scan, until the timer calls for an answer.
-    held: Option<Letter>,
+    held: Option<RawMessage>,
 }
 
 impl<E: Estimator> Worker<E> {
@@ -206,7 +211,7 @@ impl<E: Estimator> Worker<E> {
             if timer.as_mut().is_none_or(|timer| timer.is_due(now)) {
                 match self.held.take() {
                     // Where a timer calls for the answer, the time counts from its call.
-                    Some(letter) => self.answer(&letter, if timer.is_some() { now } else { letter.arrival }),
+                    Some(raw) => self.answer(&raw, if timer.is_some() { now } else { raw.arrival }),
                     None if timer.is_some() => self.estimator.carry_on(),
                     None => {}
                 }
@@ -217,6 +222,7 @@ impl<E: Estimator> Worker<E> {
     }
 
     fn next_work(&self, timer: Option<&Timer>) -> Option<Work<E::Input>> {
+        self.desk.mailbox.set_patience(self.estimator.patience_in_line());
         match timer {
             Some(timer) => self.desk.mailbox.take_within(timer.left(self.desk.clock.now())),
             None => self.desk.mailbox.take(),
@@ -229,9 +235,9 @@ impl<E: Estimator> Worker<E> {
         }
     }
 
-    fn answer(&mut self, letter: &Letter, arrival: Duration) {
+    fn answer(&mut self, raw: &RawMessage, arrival: Duration) {
         self.desk.interrupts.begin();
-        match self.desk.read_sensed(letter) {
+        match self.desk.read_sensed(raw) {
             Some(scan) => {
                 self.await_odometry(scan.stamp(), arrival);
                 self.estimator.answer(&scan, arrival, &mut self.desk);

@@ -34,7 +34,7 @@ pub struct SharedEstimate {
 pub struct CompletedEstimate {
     /// The count of completed estimates that this one made; it wraps around. Its parity was the value of the topic `icp_state`.
     pub number: u32,
-    /// What it says.
+    /// Its outputs.
     pub estimate: SharedEstimate,
 }
 

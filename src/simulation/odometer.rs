@@ -10,7 +10,9 @@ use rand_pcg::Pcg64;
 
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::knobs;
-use crate::messages::geometry_msgs::{PoseWithCovariance, Twist, TwistWithCovariance, Vector3 as WireVector};
+use crate::messages::geometry_msgs::{
+    Covariance, PoseWithCovariance, Twist, TwistWithCovariance, Vector3 as WireVector, full_covariance,
+};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::std_msgs::Header;
 use crate::time::Stamp;
@@ -167,17 +169,7 @@ fn squared(root: &Matrix3<f64>) -> Matrix3<f64> {
     root * root.transpose()
 }
 
-/// A covariance of x, y, yaw as messages carry it: 6 x 6, row by row, x, y, z, roll, pitch, yaw.
-fn wire_covariance(covariance: &Matrix3<f64>) -> [f64; 36] {
-    const PLANE: [usize; 3] = [0, 1, 5];
-    let mut wire = [0.0; 36];
-    for i in 0..6 {
-        wire[7 * i] = NEXT_TO_NOTHING;
-    }
-    for (row, &wire_row) in PLANE.iter().enumerate() {
-        for (column, &wire_column) in PLANE.iter().enumerate() {
-            wire[6 * wire_row + wire_column] += covariance[(row, column)];
-        }
-    }
-    wire
+/// A covariance of x, y, yaw as messages carry it.
+fn wire_covariance(covariance: &PoseCovariance) -> Covariance {
+    full_covariance(&(covariance + Matrix3::from_diagonal_element(NEXT_TO_NOTHING)), NEXT_TO_NOTHING)
 }

@@ -2,22 +2,22 @@
 
 use std::collections::HashMap;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use anytime_scan_matcher::anytime::clock::MonotonicClock;
-use anytime_scan_matcher::app::{App, planar_pose};
+use anytime_scan_matcher::app::{Answering as _, App, planar_pose};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::io::simulated_bag::record;
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::knobs::Seconds;
-use anytime_scan_matcher::messages::Message;
 use anytime_scan_matcher::messages::geometry_msgs::{Pose, PoseStamped};
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::messages::std_msgs::Header;
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::messages::{Definition, Message};
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::Settings;
 use anytime_scan_matcher::simulation::scene::Scene;
@@ -229,8 +229,10 @@ impl EndlessScan {
 
 impl Message for EndlessScan {
     const TYPE: &'static str = LaserScan::TYPE;
-    const MD5: &'static str = LaserScan::MD5;
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = LaserScan::DEFINITIONS;
+
+    fn definition() -> &'static Definition {
+        LaserScan::definition()
+    }
 }
 
 /// `std_msgs/String`.
@@ -241,6 +243,9 @@ pub struct Text {
 
 impl Message for Text {
     const TYPE: &'static str = "std_msgs/String";
-    const MD5: &'static str = "992ce8a1687cec8c8bd883ec73ca41d1";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[("std_msgs/String", "string data\n")];
+
+    fn definition() -> &'static Definition {
+        static DEFINITION: LazyLock<Definition> = LazyLock::new(|| Definition::new(Text::TYPE, "string data\n"));
+        &DEFINITION
+    }
 }

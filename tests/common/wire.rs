@@ -28,7 +28,7 @@ impl Publisher {
         let (api_port, port) = (api.local_addr().unwrap().port(), data.local_addr().unwrap().port());
         std::thread::spawn(move || answer_requests(&api, port));
         let api = format!("http://localhost:{api_port}/");
-        let publisher = Self { name: name.into(), topic, message_type: T::TYPE, md5: T::MD5, api, data };
+        let publisher = Self { name: name.into(), topic, message_type: T::TYPE, md5: &T::definition().md5, api, data };
         publisher.register(graph);
         publisher
     }

@@ -11,14 +11,16 @@ use crate::common::wire::{Listener, Publisher};
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::messages::ackermann_msgs::AckermannDriveStamped;
+use anytime_scan_matcher::messages::diagnostic_msgs::DiagnosticArray;
 use anytime_scan_matcher::messages::geometry_msgs::{
-    PointStamped, PoseStamped, PoseWithCovarianceStamped, TransformStamped, Twist, TwistStamped,
+    PointStamped, PoseArray, PoseStamped, PoseWithCovarianceStamped, TransformStamped, Twist, TwistStamped,
 };
 use anytime_scan_matcher::messages::nav_msgs::{MapMetaData, OccupancyGrid, Odometry};
 use anytime_scan_matcher::messages::own::{self, Contract};
 use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use anytime_scan_matcher::messages::std_msgs::{Empty, Header, Int32};
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
+use anytime_scan_matcher::messages::visualization_msgs::Marker;
 use anytime_scan_matcher::messages::{self, Message};
 use rosrust::Message as _;
 use rosrust_msg::anytime_scan_matcher::MatchReport;
@@ -58,59 +60,66 @@ fn check_definitions(graph: &Graph, recorded: &Path) {
     assert_eq!(report.message_type, MatchReport::msg_type());
     let definitions = [
         (report.message_type.as_str(), report.definition.clone(), &report.md5[..]),
-        (Contract::TYPE, Contract::full_definition(), Contract::MD5),
+        (Contract::TYPE, Contract::definition().text.clone(), &Contract::definition().md5),
     ];
     for (name, definition, md5) in definitions {
         assert_eq!(graph.output("/usr/bin/python3", &["-c", script, name, &definition]).trim(), md5, "{name}");
     }
 }
 
+/// What the folder of the project is called does not come into it.
+#[test]
+fn message_types_are_of_the_packages_of_the_definitions() {
+    let definitions = Path::new(env!("CARGO_MANIFEST_DIR")).join("definitions");
+    for (package, name) in rosrust_msg::MESSAGES {
+        assert!(definitions.join(package).is_dir(), "{package}/{name}");
+    }
+}
+
 #[test]
 fn message_types_are_those_of_the_ros_installed() {
-    fn pair<T: Message, U: rosrust::Message>() -> (&'static str, &'static str) {
-        assert_eq!((T::TYPE, T::MD5), (U::msg_type().as_str(), U::md5sum().as_str()));
-        (T::TYPE, T::MD5)
+    /// Name, checksum and wire form are those of rosrust's type.
+    fn pair<T: Message + Default, U: rosrust::Message>() -> (&'static str, &'static str) {
+        let md5 = T::definition().md5.as_str();
+        assert_eq!((T::TYPE, md5), (U::msg_type().as_str(), U::md5sum().as_str()));
+        let mut bytes = Vec::new();
+        U::default().encode(&mut bytes).unwrap();
+        assert_eq!(messages::encode(&T::default()).unwrap(), bytes, "{}", T::TYPE);
+        (T::TYPE, md5)
     }
-    let types = [
-        pair::<LaserScan, rosrust_msg::sensor_msgs::LaserScan>(),
-        pair::<Odometry, rosrust_msg::nav_msgs::Odometry>(),
-        pair::<TFMessage, rosrust_msg::tf2_msgs::TFMessage>(),
-        pair::<PoseStamped, rosrust_msg::geometry_msgs::PoseStamped>(),
-        pair::<PoseWithCovarianceStamped, rosrust_msg::geometry_msgs::PoseWithCovarianceStamped>(),
-        pair::<TransformStamped, rosrust_msg::geometry_msgs::TransformStamped>(),
-        pair::<PointStamped, rosrust_msg::geometry_msgs::PointStamped>(),
-        pair::<OccupancyGrid, rosrust_msg::nav_msgs::OccupancyGrid>(),
-        pair::<MapMetaData, rosrust_msg::nav_msgs::MapMetaData>(),
-    ];
-    pair::<PointCloud2, rosrust_msg::sensor_msgs::PointCloud2>();
-    pair::<Imu, rosrust_msg::sensor_msgs::Imu>();
-    pair::<AckermannDriveStamped, rosrust_msg::ackermann_msgs::AckermannDriveStamped>();
-    pair::<Twist, rosrust_msg::geometry_msgs::Twist>();
-    pair::<TwistStamped, rosrust_msg::geometry_msgs::TwistStamped>();
-    pair::<Contract, rosrust_msg::anytime_scan_matcher::Contract>();
+    use rosrust_msg::{
+        ackermann_msgs, anytime_scan_matcher, diagnostic_msgs, geometry_msgs, nav_msgs, sensor_msgs, std_msgs, tf2_msgs,
+        visualization_msgs,
+    };
+    pair::<PointCloud2, sensor_msgs::PointCloud2>();
+    pair::<Imu, sensor_msgs::Imu>();
+    pair::<AckermannDriveStamped, ackermann_msgs::AckermannDriveStamped>();
+    pair::<Twist, geometry_msgs::Twist>();
+    pair::<TwistStamped, geometry_msgs::TwistStamped>();
+    pair::<Contract, anytime_scan_matcher::Contract>();
     pair::<own::MatchReport, MatchReport>();
-    pair::<own::FilterReport, rosrust_msg::anytime_scan_matcher::FilterReport>();
-    pair::<Int32, rosrust_msg::std_msgs::Int32>();
-    pair::<Empty, rosrust_msg::std_msgs::Empty>();
-    let outputs = [
-        rosrust_msg::std_msgs::Int32::md5sum(),
-        rosrust_msg::nav_msgs::Path::md5sum(),
-        rosrust_msg::geometry_msgs::PoseArray::md5sum(),
-        rosrust_msg::visualization_msgs::Marker::md5sum(),
-        rosrust_msg::diagnostic_msgs::DiagnosticArray::md5sum(),
-        rosrust_msg::rosgraph_msgs::Log::md5sum(),
+    pair::<own::FilterReport, anytime_scan_matcher::FilterReport>();
+    pair::<own::FollowerReport, anytime_scan_matcher::FollowerReport>();
+    pair::<Empty, std_msgs::Empty>();
+    let types = [
+        pair::<LaserScan, sensor_msgs::LaserScan>(),
+        pair::<Odometry, nav_msgs::Odometry>(),
+        pair::<TFMessage, tf2_msgs::TFMessage>(),
+        pair::<PoseStamped, geometry_msgs::PoseStamped>(),
+        pair::<PoseWithCovarianceStamped, geometry_msgs::PoseWithCovarianceStamped>(),
+        pair::<TransformStamped, geometry_msgs::TransformStamped>(),
+        pair::<PointStamped, geometry_msgs::PointStamped>(),
+        pair::<OccupancyGrid, nav_msgs::OccupancyGrid>(),
+        pair::<MapMetaData, nav_msgs::MapMetaData>(),
+        pair::<Int32, std_msgs::Int32>(),
+        pair::<messages::nav_msgs::Path, nav_msgs::Path>(),
+        pair::<PoseArray, geometry_msgs::PoseArray>(),
+        pair::<Marker, visualization_msgs::Marker>(),
+        pair::<DiagnosticArray, diagnostic_msgs::DiagnosticArray>(),
     ];
-    let output_types = [
-        "std_msgs/Int32",
-        "nav_msgs/Path",
-        "geometry_msgs/PoseArray",
-        "visualization_msgs/Marker",
-        "diagnostic_msgs/DiagnosticArray",
-        "rosgraph_msgs/Log",
-    ];
+    let log = rosrust_msg::rosgraph_msgs::Log::md5sum();
+    let (names, expected): (Vec<&str>, Vec<&str>) = types.into_iter().chain([("rosgraph_msgs/Log", log.as_str())]).unzip();
     let Some(graph) = Graph::without_master() else { return };
-    let (names, expected): (Vec<&str>, Vec<&str>) =
-        types.into_iter().chain(output_types.into_iter().zip(outputs.iter().map(String::as_str))).unzip();
     let found = graph.output("/usr/bin/python3", &[&["-c", MD5_OF_INSTALLED][..], &names].concat());
     assert_eq!(found.lines().count(), names.len(), "{found}");
     for ((name, expected), found) in names.into_iter().zip(expected).zip(found.lines()) {

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::common::{Laser, room_range};
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::{App, Estimate, InputError, MountSource};
+use anytime_scan_matcher::app::{Answering as _, App, Estimate, InputError, MountSource};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::matching::StopReason;

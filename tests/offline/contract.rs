@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::common::Laser;
 use anytime_scan_matcher::anytime::clock::{Clock, VirtualClock};
 use anytime_scan_matcher::anytime::interrupt::{Never, Request};
-use anytime_scan_matcher::app::{App, Estimate};
+use anytime_scan_matcher::app::{Answering as _, App, Estimate};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::matching::StopReason;

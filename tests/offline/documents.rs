@@ -57,13 +57,14 @@ fn leads_somewhere(document: &Path, text: &str, link: &str) -> bool {
 
 /// Words of code, inline or in blocks, that name a file or folder of this project.
 fn paths(text: &str) -> impl Iterator<Item = &str> {
-    const FOLDERS: [&str; 13] = [
+    const FOLDERS: [&str; 14] = [
         "src/",
         "tests/",
         "docs/",
         "examples/",
         "benches/",
         "launch/",
+        "definitions/",
         "msg/",
         "maps/",
         "bags/",

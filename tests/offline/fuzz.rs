@@ -4,13 +4,14 @@
 //! `PROPTEST_CASES=100000 cargo test --test offline fuzz`. What ever made a reader fail is kept there, beside the valid files.
 
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::common::Laser;
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::{App, map_message};
+use anytime_scan_matcher::app::{Answering as _, App, map_message};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
@@ -257,8 +258,9 @@ fn write_the_corpus() {
         writer.finish().unwrap();
     }
     let shade = |i: usize| if (i % 16).is_multiple_of(5) || i / 16 == 3 { 0 } else { 254 };
-    let image = GrayImage::new(16, (0..16 * 12).map(shade).collect()).unwrap();
+    let pixels: Vec<u8> = (0..16 * 12).map(shade).collect();
+    let image = GrayImage::new(16, pixels.clone()).unwrap();
     let file = |name: &str| fs::File::create(folder("map_image").join(name)).unwrap();
     image.write_png(file("map.png")).unwrap();
-    image.write_pgm(file("map.pgm")).unwrap();
+    file("map.pgm").write_all(&[&b"P5\n16 12\n255\n"[..], &pixels].concat()).unwrap();
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
 use anytime_scan_matcher::anytime::interrupt::Never;
-use anytime_scan_matcher::app::App;
+use anytime_scan_matcher::app::{Answering as _, App};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::messages::geometry_msgs::PoseWithCovarianceStamped;

@@ -1,5 +1,7 @@
-//! The architecture of `src/lib.rs`, held against the imports: a module uses only modules of the layers below its own.
+//! The architecture of `src/lib.rs`, held against the imports: a module uses only modules of the layers below its own, and modules of one
+//! folder do not use each other in a circle.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -71,6 +73,94 @@ fn modules_use_lower_layers_only() {
         }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+/// A module's path below `src`: `["ros", "mailbox"]`.
+fn module(source: &Path, file: &Path) -> Vec<String> {
+    let relative = file.strip_prefix(source).unwrap().with_extension("");
+    let mut names: Vec<String> = relative.iter().map(|name| name.to_string_lossy().into_owned()).collect();
+    names.pop_if(|name| name == "mod");
+    names
+}
+
+/// The paths that a file of `module` names after `use`, from the crate's root; tests left out.
+fn used(text: &str, module: &[String]) -> Vec<Vec<String>> {
+    let code = text.split("#[cfg(test)]").next().unwrap();
+    let statements = code.split("use ").skip(1).filter_map(|rest| rest.split(';').next());
+    let mut paths = Vec::new();
+    statements.for_each(|statement| expand(String::new(), statement, &mut paths));
+    let from_root = |path: String| {
+        let mut names: Vec<String> = path.split("::").map(|name| name.trim().to_owned()).collect();
+        let above = names.iter().take_while(|name| *name == "super").count();
+        match names[0].as_str() {
+            "crate" => Some(names.split_off(1)),
+            "super" => Some([&module[..module.len() - above], &names[above..]].concat()),
+            _ => None,
+        }
+    };
+    paths.into_iter().filter_map(from_root).collect()
+}
+
+/// Every path of a tree of imports, such as `a::{b, c::d}`.
+fn expand(prefix: String, tree: &str, paths: &mut Vec<String>) {
+    let Some((stem, rest)) = tree.split_once('{') else { return paths.push(prefix + tree.trim()) };
+    let (mut depth, mut start) = (0, 0);
+    let inner = rest.rsplit_once('}').map_or(rest, |(inner, _)| inner);
+    for (place, c) in inner.char_indices().chain([(inner.len(), ',')]) {
+        match c {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            ',' if depth == 0 => {
+                let branch = inner[start..place].trim();
+                if !branch.is_empty() {
+                    expand(prefix.clone() + stem.trim(), branch, paths);
+                }
+                start = place + 1;
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Of each folder the modules that use each other: `folder, module` to the modules of the same folder.
+fn uses_in_folders(source: &Path) -> BTreeMap<(Vec<String>, String), BTreeSet<String>> {
+    let files: Vec<PathBuf> = rust_files(source).into_iter().filter(|path| !path.starts_with(source.join("bin"))).collect();
+    let modules: BTreeSet<Vec<String>> = files.iter().map(|path| module(source, path)).collect();
+    let mut uses: BTreeMap<(Vec<String>, String), BTreeSet<String>> = BTreeMap::new();
+    for path in &files {
+        let user = module(source, path);
+        for used in used(&fs::read_to_string(path).unwrap(), &user) {
+            let common = used.iter().zip(&user).take_while(|(a, b)| a == b).count();
+            let sibling = &used[..(common + 1).min(used.len())];
+            if common > 0 && user.len() > common && modules.contains(sibling) && sibling.len() > common {
+                uses.entry((user[..common].to_vec(), user[common].clone())).or_default().insert(sibling[common].clone());
+            }
+        }
+    }
+    uses
+}
+
+#[test]
+fn no_modules_of_a_folder_use_each_other_in_a_circle() {
+    let uses = uses_in_folders(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"));
+    assert!(uses.len() > 100, "{}", uses.len());
+    for (folder, start) in uses.keys() {
+        let (mut reached, mut open) = (BTreeSet::new(), vec![start.clone()]);
+        while let Some(next) = open.pop() {
+            let others = uses.get(&(folder.clone(), next)).into_iter().flatten();
+            open.extend(others.filter(|other| reached.insert((*other).clone())).cloned());
+        }
+        assert!(!reached.contains(start), "{}/{start} uses itself by way of some of {reached:?}", folder.join("/"));
+    }
+}
+
+#[test]
+fn imports_are_read_from_trees() {
+    let module = ["ros".to_owned(), "matcher".to_owned()];
+    let paths =
+        used("use super::{log::Log, a::{self, b}};\nuse std::fs;\nuse crate::app::App;\n#[cfg(test)] use super::no;", &module);
+    let paths: Vec<String> = paths.iter().map(|path| path.join("/")).collect();
+    assert_eq!(paths, ["ros/log/Log", "ros/a/self", "ros/a/b", "app/App"]);
 }
 
 #[test]

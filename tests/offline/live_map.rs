@@ -5,8 +5,8 @@ use std::fs;
 use std::sync::Arc;
 
 use anytime_scan_matcher::anytime::clock::MonotonicClock;
-use anytime_scan_matcher::app::App;
 use anytime_scan_matcher::app::sensed::Sensed;
+use anytime_scan_matcher::app::{Answering as _, App};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::{Point, Pose2};
 use anytime_scan_matcher::io::map_file;

@@ -18,6 +18,7 @@ mod drive;
 mod evaluation;
 mod fuzz;
 mod initial_pose;
+mod late_odometry;
 mod layers;
 #[cfg(target_os = "linux")]
 mod licences;

@@ -4,26 +4,28 @@
 use std::fs;
 use std::path::Path;
 
-use anytime_scan_matcher::messages::Message;
 use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::own::MatchReport;
 use anytime_scan_matcher::messages::std_msgs::Int32;
+use anytime_scan_matcher::messages::{Definition, Message};
 
 /// Types that `PlotJuggler` makes a number of.
 const NUMBERS: [&str; 13] =
     ["bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64", "time", "duration"];
 
-type Definitions = &'static [(&'static str, &'static str)];
+type Definitions<'a> = &'a [(&'static str, &'static str)];
+
+type Topic = (&'static str, fn() -> &'static Definition);
 
 /// The messages of the layout's topics.
-const TOPICS: [(&str, Definitions); 6] = [
-    ("/icp_report", MatchReport::DEFINITIONS),
-    ("/scan_match_location", PoseStamped::DEFINITIONS),
-    ("/gt_pose", PoseStamped::DEFINITIONS),
-    ("/icp_state", Int32::DEFINITIONS),
-    ("/icp/odom", Odometry::DEFINITIONS),
-    ("/odom", Odometry::DEFINITIONS),
+const TOPICS: [Topic; 6] = [
+    ("/icp_report", MatchReport::definition),
+    ("/scan_match_location", PoseStamped::definition),
+    ("/gt_pose", PoseStamped::definition),
+    ("/icp_state", Int32::definition),
+    ("/icp/odom", Odometry::definition),
+    ("/odom", Odometry::definition),
 ];
 
 fn layout() -> String {
@@ -67,8 +69,8 @@ fn is_number(definitions: Definitions, path: &str) -> bool {
 }
 
 fn is_drawn(curve: &str) -> bool {
-    let of_topic = |(topic, definitions): &(&str, Definitions)| {
-        curve.strip_prefix(topic).and_then(|rest| rest.strip_prefix('/')).is_some_and(|path| is_number(definitions, path))
+    let of_topic = |(topic, definition): &Topic| {
+        curve.strip_prefix(topic).and_then(|rest| rest.strip_prefix('/')).is_some_and(|path| is_number(&definition().parts, path))
     };
     TOPICS.iter().any(of_topic)
 }

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use anytime_scan_matcher::anytime::clock::MonotonicClock;
 use anytime_scan_matcher::anytime::interrupt::Never;
-use anytime_scan_matcher::app::App;
 use anytime_scan_matcher::app::sensed::Sensed;
+use anytime_scan_matcher::app::{Answering as _, App};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;

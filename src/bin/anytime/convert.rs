@@ -20,7 +20,7 @@ pub(crate) struct Arguments {
     /// The bag to write, with scans, odometry, and where the laser sits
     #[arg(value_name = "OUT.bag")]
     out: PathBuf,
-    /// Angle from the first beam of FLASER lines to the last, which they do not tell; unset: 180 for an odd number of beams, a beam less for an even one, deg
+    /// Field of view of FLASER lines, deg, which the log does not state; unset: 180 for an odd number of beams, one beam less for an even number
     #[arg(long, value_name = "DEG", value_parser = field_of_view)]
     fov: Option<f64>,
     /// How the chunks of the bag are packed: none, bz2 or lz4

@@ -24,7 +24,7 @@ use crate::knob_flags::{help, set, value};
 use crate::outcome::usage;
 use crate::progress;
 
-/// Drive a simulated racecar round by its own poses: simulator, estimator and follower in one process, on a modelled clock
+/// Drive a simulated racecar by its own pose estimates: simulator, estimator and follower in one process, on a modelled clock
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Where to drive: corridor, room, or the YAML file of a map
@@ -47,7 +47,7 @@ pub(crate) struct Arguments {
     /// How contracts are chosen: `completion`, `iterations:N`, `fixed:TIME[,METRES]`, `table`, `oracle`; several may be given
     #[arg(long, default_value = "completion")]
     policy: Vec<Policy>,
-    /// How much slower than the costs the machine is (`8` or `x8`); several, separated by commas, are all driven
+    /// Slow-down of the machine against these costs (`8` or `x8`); several, separated by commas, are all driven
     #[arg(long, default_value = "1", value_delimiter = ',', value_parser = factor)]
     slowdown: Vec<f64>,
     /// Other programs take the processor for 0.4 s in every 1.2 s: all work then takes so many times as long (`x20`); several, separated by commas
@@ -59,13 +59,13 @@ pub(crate) struct Arguments {
     /// Drives of each case
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     seeds: u32,
-    /// Seed of the first drive, as to see one again; the others have the next ones
+    /// Seed of the first drive; each further drive adds 1
     #[arg(long, default_value_t = 1)]
     seed: u32,
-    /// Paths per second of a planner that plans again and again; 0: the path is there from the start
+    /// Rate at which a planner publishes new paths, Hz; 0: one path, there from the start
     #[arg(long, default_value_t = 0.0)]
     replan: f64,
-    /// How late its paths come, such as 2s
+    /// Delay of its paths, such as 2s
     #[arg(long, default_value = "0", value_parser = seconds)]
     path_delay: f64,
     /// Length of its paths, m

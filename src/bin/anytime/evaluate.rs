@@ -25,7 +25,7 @@ pub(crate) struct Arguments {
     /// The true map
     #[arg(long, value_name = "B.yaml", requires = "map")]
     truth_map: Option<PathBuf>,
-    /// Lay the map onto the true one first: it is known to two metres and some degrees where it belongs
+    /// Align the map with the true one first; it may be off by up to 2 m and a few degrees
     #[arg(long, requires = "map")]
     align: bool,
     #[command(flatten)]
@@ -39,7 +39,7 @@ pub(crate) struct Arguments {
     /// Length of path over which RPE measures drift, m
     #[arg(long, value_name = "M", default_value_t = Comparison::default().rpe_distance, value_parser = positive)]
     rpe_distance: f64,
-    /// Poses further apart in time do not belong together, s
+    /// Largest time between two poses that are compared, s
     #[arg(long, value_name = "S", default_value_t = Comparison::default().max_dt, value_parser = positive)]
     max_dt: f64,
 }

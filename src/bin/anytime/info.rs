@@ -9,7 +9,7 @@ use clap::Args;
 
 use crate::{progress, terminal};
 
-/// Show what a bag holds: topics, rates, scan geometry, problems found
+/// Show what a bag contains: topics, rates, scan geometry, problems found
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// The bag

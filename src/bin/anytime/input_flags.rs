@@ -31,13 +31,13 @@ pub(crate) struct InputFlags {
     /// Topic of an IMU [default: /imu/data, if the bag has it]
     #[arg(long)]
     imu_topic: Option<String>,
-    /// Do without odometry and IMU, even if the bag has them
+    /// Ignore odometry and IMU, even if the bag has them
     #[arg(long, conflicts_with_all = ["odom_topic", "imu_topic"])]
     scan_only: bool,
     /// True poses to compare with: a TUM file, or a topic of the bag
     #[arg(long, value_name = "FILE|TOPIC")]
     pub(crate) truth: Option<String>,
-    /// The clock of the contract; with `virtual` all files of two runs are equal to the byte
+    /// Clock of the contract; with `virtual`, two runs write identical files
     #[arg(long, value_enum, default_value = "monotonic")]
     pub(crate) clock: ClockChoice,
     #[command(flatten)]
@@ -104,12 +104,12 @@ pub(crate) fn picture(text: &str) -> Result<PathBuf, String> {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub(crate) enum ClockChoice {
-    /// The machine's clock
+    /// Wall clock
     Monotonic,
-    /// The processor time of the matching: as on a machine with nothing else to do
+    /// Processor time of the matching, as on an idle machine
     #[cfg(target_os = "linux")]
     Processor,
-    /// A count of its readings
+    /// Advances with each reading: the same on every machine
     Virtual,
 }
 

@@ -9,14 +9,16 @@ use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::evaluation::association::associate;
 use anytime_scan_matcher::evaluation::report::Comparison;
-use anytime_scan_matcher::evaluation::trajectory::Trajectory;
+use anytime_scan_matcher::evaluation::trajectory::{StampedPose, Trajectory};
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::io::csv_file::CsvFile;
 use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::knobs::Value;
 use anytime_scan_matcher::output::OutputFile;
-use anytime_scan_matcher::replay::localize::{BeliefFile, LocalizationSummary, errors, localize};
+use anytime_scan_matcher::replay::localize::{Answer, LocalizationSummary, localize};
+use anytime_scan_matcher::replay::row::BeliefRow;
 use anytime_scan_matcher::replay::truth;
 use clap::Args;
 
@@ -25,7 +27,7 @@ use crate::knob_flags::value;
 use crate::outcome::{shown, usage};
 use crate::progress;
 
-/// Find the robot of a bag on a map, by a particle filter
+/// Localize the robot of a bag on a map with a particle filter
 #[derive(Args)]
 pub(crate) struct Arguments {
     bag: PathBuf,
@@ -35,7 +37,7 @@ pub(crate) struct Arguments {
     /// Number of particles [default: `localization.particles`]
     #[arg(long)]
     particles: Option<u32>,
-    /// Nothing is known of where the robot starts
+    /// The initial pose is unknown: global localization
     #[arg(long, conflicts_with = "initial_pose")]
     global: bool,
     /// Where the robot starts, m and rad [default: `localization.initial_pose`; else the first true pose; else the origin of the map]
@@ -47,7 +49,7 @@ pub(crate) struct Arguments {
     /// Write the pose of every scan; `anytime profile` takes it for a truth
     #[arg(long, value_name = "OUT.tum")]
     tum: Option<PathBuf>,
-    /// Write a line of figures for every scan
+    /// Write a row of CSV for every scan
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
     /// Print one JSON object
@@ -66,13 +68,7 @@ fn pose(text: &str) -> Result<Pose2, String> {
 }
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
-    let mut config = arguments.input.configuration.load()?;
-    if let Some(particles) = arguments.particles {
-        config.set("localization.particles", &particles.into(), "--particles")?;
-    }
-    if let Some(budget) = &arguments.time_budget {
-        config.set("contract.time_budget", budget, "--time-budget")?;
-    }
+    let mut config = configuration(arguments)?;
     let map = arguments.map.clone().or(config.localization.map.as_ref().map(PathBuf::from));
     let map = map.ok_or_else(|| usage("there is no map: --map M.yaml, or the parameter localization.map"))?;
     files(arguments, &config).check()?;
@@ -90,36 +86,22 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         let start = arguments.initial_pose.or(config.localization.initial_pose).or(first_truth);
         localizer.start_at(&start.unwrap_or_default(), None);
     }
-    let mut tum = arguments.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
-    let mut csv = arguments.csv.as_deref().map(create).transpose()?.map(BeliefFile::new).transpose()?;
+    let mut records = Records::create(arguments, &config.frames.map_frame)?;
     let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
-    let mut summary = LocalizationSummary::default();
     let tick = || progress.inc(1);
-    let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &*clock, tick, |answer, _| {
-        if let (Some(pose), Some(tum)) = (summary.add(answer), &mut tum) {
-            tum.write(&pose).context("cannot write the trajectory")?;
-        }
-        if let Some(csv) = &mut csv {
-            csv.write(answer).context("cannot write the CSV file")?;
-        }
-        Ok(())
-    })?;
+    let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &*clock, tick, |answer, _| records.add(answer))?;
     progress.finish_and_clear();
-    if summary.poses().is_empty() {
-        let why = if summary.unused().is_empty() { log.reasons(&bag) } else { format!(": {}", summary.unused()) };
+    if records.summary.poses().is_empty() {
+        let unused = records.summary.unused();
+        let why = if unused.is_empty() { log.reasons(&bag) } else { format!(": {unused}") };
         bail!("{}: no scan on {} could be used{why}", arguments.bag.display(), topics.scan);
     }
-    if let Some(tum) = tum {
-        tum.into_sink().commit().context("cannot write the trajectory")?;
-    }
-    if let Some(csv) = csv {
-        csv.into_sink().and_then(|mut file| file.commit()).context("cannot write the CSV file")?;
-    }
+    let summary = records.finish()?;
     let localized = Some(summary.localized()).filter(|poses| !poses.is_empty());
     let trajectory = localized.map(|poses| Trajectory::new(poses.to_vec())).transpose()?;
     let matched = trajectory.zip(truth).map(|(trajectory, truth)| associate(&trajectory, &truth, Comparison::default().max_dt));
     let matched = matched.transpose()?;
-    let errors = matched.and_then(|matched| errors(&matched));
+    let errors = matched.and_then(|matched| summary.errors(&matched));
     let mut problems: Vec<String> = bag.problems().iter().map(ToString::to_string).chain(log.problems).collect();
     problems.extend(reservations(&localizer));
     let text = files(arguments, &config).shown(
@@ -128,6 +110,67 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         || summary.to_text(errors.as_ref(), &problems),
     );
     shown(text, summary.failure())
+}
+
+/// The parameters, with what the flags set.
+fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
+    let mut config = arguments.input.configuration.load()?;
+    if let Some(particles) = arguments.particles {
+        config.set("localization.particles", &particles.into(), "--particles")?;
+    }
+    if let Some(budget) = &arguments.time_budget {
+        config.set("contract.time_budget", budget, "--time-budget")?;
+    }
+    Ok(config)
+}
+
+/// The summary, and the files asked for.
+struct Records {
+    map_frame: String,
+    tum: Option<TumWriter<OutputFile>>,
+    csv: Option<CsvFile<OutputFile, BeliefRow>>,
+    summary: LocalizationSummary,
+}
+
+impl Records {
+    fn create(arguments: &Arguments, map_frame: &str) -> anyhow::Result<Self> {
+        let tum = arguments.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
+        let csv = arguments.csv.as_deref().map(create).transpose()?;
+        let csv = csv.map(|file| CsvFile::new(file, BeliefRow::COLUMNS)).transpose()?;
+        Ok(Self { map_frame: map_frame.into(), tum, csv, summary: LocalizationSummary::default() })
+    }
+
+    fn add(&mut self, answer: &Answer) -> anyhow::Result<()> {
+        let pose = match answer {
+            Answer::Fix(fix) => {
+                let row = BeliefRow::new(fix, &self.map_frame);
+                // A scan that could not be used has no row.
+                if let (Some(csv), Some(_)) = (&mut self.csv, row.pose) {
+                    csv.write(&row).context("cannot write the CSV file")?;
+                }
+                self.summary.add(&row)
+            }
+            &Answer::Between { stamp, map_from_base } => {
+                self.summary.pass_over();
+                Some(StampedPose { stamp, pose: map_from_base })
+            }
+        };
+        if let (Some(pose), Some(tum)) = (pose, &mut self.tum) {
+            tum.write(&pose).context("cannot write the trajectory")?;
+        }
+        Ok(())
+    }
+
+    /// Puts the files in their places.
+    fn finish(self) -> anyhow::Result<LocalizationSummary> {
+        if let Some(tum) = self.tum {
+            tum.into_sink().commit().context("cannot write the trajectory")?;
+        }
+        if let Some(csv) = self.csv {
+            csv.into_sink().and_then(|mut file| file.commit()).context("cannot write the CSV file")?;
+        }
+        Ok(self.summary)
+    }
 }
 
 /// What the user should know, each with its remedy.

@@ -27,13 +27,13 @@ use clap::{Args, ValueEnum};
 use crate::input_flags::{Files, InputFlags};
 use crate::progress;
 
-/// Make a map of what the laser of a bag has seen
+/// Make a map from the scans of bags
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Bags, in the order they were recorded
     #[arg(required = true)]
     bags: Vec<PathBuf>,
-    /// Writes PREFIX.yaml and PREFIX.pgm (the map), PREFIX.png (a picture of it with the path), PREFIX.graph (to go on with)
+    /// Writes PREFIX.yaml and PREFIX.pgm (the map), PREFIX.png (a picture with the path), PREFIX.graph (to extend it later)
     #[arg(long, value_name = "PREFIX")]
     out: PathBuf,
     /// Write the final pose of every scan, after all corrections
@@ -42,10 +42,10 @@ pub(crate) struct Arguments {
     /// Side of a cell, m
     #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = resolution)]
     resolution: f64,
-    /// Whether to look for rays that see the robot itself, and to let them go
+    /// Whether to detect rays that hit the robot itself, and leave them out
     #[arg(long, value_enum, default_value = "auto")]
     mask_self: MaskSelf,
-    /// Go on with the map of this graph; wherever on it the robot has started
+    /// Extend the map of this graph; the robot may start anywhere on it
     #[arg(long, value_name = "OLD.graph")]
     extend: Option<PathBuf>,
     /// Print one JSON object
@@ -57,9 +57,9 @@ pub(crate) struct Arguments {
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum MaskSelf {
-    /// Rays that do not change while the robot moves are the robot
+    /// Rays that do not change while the robot moves hit the robot: they are left out
     Auto,
-    /// All rays count that `scan.*` lets
+    /// Use every ray that `scan.*` accepts
     Off,
 }
 

@@ -40,10 +40,10 @@ pub(crate) struct Arguments {
     /// Profile the particle filter beside them, on this map, a YAML file of `map_server`; the truth is to be given in its frame
     #[arg(long, value_name = "M.yaml")]
     pub(crate) map: Option<PathBuf>,
-    /// How many iterations fit into such a time (500us) by the look-up table, and how that keeps it beside a contract; several may be given
+    /// Compare the look-up table with a contract at this time limit, such as 500us; several may be given
     #[arg(long, value_name = "TIME", value_delimiter = ',', value_parser = delta)]
     pub(crate) delta: Vec<Duration>,
-    /// Run each case so often, interleaved with all others
+    /// Runs of each case, interleaved with all others
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) rounds: u32,
     /// Seed of the order of the runs within the rounds, and of the simulated drive

@@ -8,11 +8,11 @@ use clap::Args;
 use crate::input_flags::{InputFlags, picture};
 use crate::knob_flags::value;
 
-/// Match every scan of a bag, through the very code the node runs
+/// Match every scan of a bag with the same code as the node
 #[derive(Args)]
 pub(crate) struct Arguments {
     pub(crate) bag: PathBuf,
-    /// Time that a scan's answer may take, such as 5ms; without a unit, seconds [default: `contract.time_budget`]
+    /// Time budget from a scan's arrival to its pose, such as 5ms; without a unit, seconds [default: `contract.time_budget`]
     #[arg(long, value_parser = value, allow_hyphen_values = true)]
     pub(crate) time_budget: Option<Value>,
     /// Contracts over time: a CSV file with the columns time (s since the first scan), `time_budget`, `translation_error_bound`,
@@ -22,7 +22,7 @@ pub(crate) struct Arguments {
     /// Write the pose of every scan
     #[arg(long, value_name = "OUT.tum")]
     pub(crate) tum: Option<PathBuf>,
-    /// Write a line of figures for every scan
+    /// Write a row of CSV for every scan
     #[arg(long, value_name = "OUT.csv")]
     pub(crate) csv: Option<PathBuf>,
     /// Draw the trajectory, the scans and the truth

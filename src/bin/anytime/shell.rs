@@ -6,7 +6,7 @@ use clap_complete::Shell;
 
 use crate::outcome::usage;
 
-/// Print what completes commands and flags in a shell
+/// Print the completion script of a shell
 #[derive(Args)]
 pub(crate) struct Completions {
     shell: Shell,

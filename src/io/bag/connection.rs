@@ -32,8 +32,8 @@ impl Connection {
     /// Whether its messages have the wire form of `T`. A type that was renamed and not changed (`tf/tfMessage`) serves too.
     pub fn carries<T: Message>(&self) -> bool {
         match self.md5.as_str() {
-            "*" => self.message_type == T::TYPE || self.message_type == "*" || self.is_defined_as(&T::full_definition()),
-            md5 => md5 == T::MD5,
+            "*" => self.message_type == T::TYPE || self.message_type == "*" || self.is_defined_as(&T::definition().text),
+            md5 => md5 == T::definition().md5,
         }
     }
 

@@ -42,6 +42,15 @@ impl BagMessage<'_> {
     }
 }
 
+impl Bag {
+    /// The messages on `topics` (`None`: on all) by the time of their recording; equal times in file order.
+    ///
+    /// Damaged chunks are passed over and noted in [`Bag::problems`]; an `Err` means that the file could not be read.
+    pub fn messages(&self, topics: Option<&[&str]>) -> Messages<'_> {
+        Messages::new(self, self.connections_of(topics).map(|connection| (connection.id, connection)).collect())
+    }
+}
+
 /// Iterator of [`Bag::messages`]: merges the chunks, which overlap in time.
 pub struct Messages<'bag> {
     bag: &'bag Bag,
@@ -66,7 +75,7 @@ struct OpenChunk<'bag> {
 }
 
 impl<'bag> Messages<'bag> {
-    pub(super) fn new(bag: &'bag Bag, wanted: BTreeMap<u32, &'bag Connection>) -> Self {
+    fn new(bag: &'bag Bag, wanted: BTreeMap<u32, &'bag Connection>) -> Self {
         let mut waiting: Vec<(Stamp, usize)> = bag
             .chunks()
             .iter()

@@ -15,7 +15,6 @@ use super::compression::Compression;
 use super::connection::Connection;
 use super::error::{BagError, BagProblem, COPY_AGAIN};
 use super::layout::{Layout, MAX_PROBLEMS};
-use super::messages::Messages;
 use super::record::MAGIC;
 
 /// Bytes that tell what a file is.
@@ -167,15 +166,12 @@ impl Bag {
 
     /// Number of messages on `topics` (`None`: on all).
     pub fn message_count(&self, topics: Option<&[&str]>) -> u64 {
-        self.connections.iter().filter(|connection| is_wanted(topics, &connection.topic)).map(|c| c.messages).sum()
+        self.connections_of(topics).map(|connection| connection.messages).sum()
     }
 
-    /// The messages on `topics` (`None`: on all) by the time of their recording; equal times in file order.
-    ///
-    /// Damaged chunks are passed over and noted in [`Bag::problems`]; an `Err` means that the file could not be read.
-    pub fn messages(&self, topics: Option<&[&str]>) -> Messages<'_> {
-        let wanted = self.connections.iter().filter(|connection| is_wanted(topics, &connection.topic));
-        Messages::new(self, wanted.map(|connection| (connection.id, connection)).collect())
+    /// The connections of `topics` (`None`: of all).
+    pub(super) fn connections_of(&self, topics: Option<&[&str]>) -> impl Iterator<Item = &Connection> {
+        self.connections.iter().filter(move |connection| is_wanted(topics, &connection.topic))
     }
 
     /// The topics that carry messages of type `T`.
@@ -201,7 +197,7 @@ impl Bag {
             Ok(())
         } else if connection.message_type == T::TYPE {
             let found = connection.md5.clone();
-            Err(BagError::WrongVersion { path, topic, message_type: T::TYPE, found, expected: T::MD5 })
+            Err(BagError::WrongVersion { path, topic, message_type: T::TYPE, found, expected: &T::definition().md5 })
         } else {
             let found = connection.message_type.clone();
             Err(BagError::WrongType { path, topic, found, expected: T::TYPE })

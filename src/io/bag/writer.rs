@@ -213,12 +213,12 @@ impl Drop for BagWriter {
 
 impl Connection {
     fn new<T: Message>(id: u32, topic: &str, latching: bool) -> Self {
-        let definition = T::full_definition();
+        let definition = T::definition();
         let mut fields: Vec<(&str, &[u8])> = vec![
             ("topic", topic.as_bytes()),
             ("type", T::TYPE.as_bytes()),
-            ("md5sum", T::MD5.as_bytes()),
-            ("message_definition", definition.as_bytes()),
+            ("md5sum", definition.md5.as_bytes()),
+            ("message_definition", definition.text.as_bytes()),
         ];
         if latching {
             fields.push(("latching", b"1"));

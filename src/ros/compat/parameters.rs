@@ -8,8 +8,8 @@ use serde_json::Map;
 use crate::config::{Config, ConfigError, set_group};
 use crate::knobs::{KnobGroup as _, Value, nearest_name};
 use crate::ros::NodeError;
+use crate::ros::input::Input;
 use crate::ros::params::{CONFIG_FILE, configure, private_parameters};
-use crate::ros::subscriptions::Input;
 
 crate::knobs! {
     /// What has no other place in this node.

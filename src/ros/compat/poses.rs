@@ -1,13 +1,14 @@
 //! The topics that `laser_scan_matcher` gives its poses on.
 
 use rosrust::api::Ros;
-use rosrust_msg::geometry_msgs::{Pose2D, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped};
 
 use super::parameters::PoseTopics;
+use crate::messages::Message;
+use crate::messages::geometry_msgs::{Pose2D, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped};
 use crate::ros::NodeError;
-use crate::ros::convert::Answer;
-use crate::ros::master::Role;
-use crate::ros::publishers::Output;
+use crate::ros::convert::Outgoing;
+use crate::ros::master::MasterRegistration;
+use crate::ros::output::Output;
 
 /// Those that are wanted.
 pub(in crate::ros) struct PoseOutputs {
@@ -27,17 +28,17 @@ impl PoseOutputs {
         })
     }
 
-    pub(in crate::ros) fn roles(&self) -> impl Iterator<Item = Role> {
+    pub(in crate::ros) fn registrations(&self) -> impl Iterator<Item = MasterRegistration> {
         let all = [
-            self.planar.as_ref().map(Output::role),
-            self.stamped.as_ref().map(Output::role),
-            self.with_covariance.as_ref().map(Output::role),
-            self.with_covariance_stamped.as_ref().map(Output::role),
+            self.planar.as_ref().map(Output::registration),
+            self.stamped.as_ref().map(Output::registration),
+            self.with_covariance.as_ref().map(Output::registration),
+            self.with_covariance_stamped.as_ref().map(Output::registration),
         ];
         all.into_iter().flatten()
     }
 
-    pub(in crate::ros) fn publish(&self, answer: &Answer) {
+    pub(in crate::ros) fn publish(&self, answer: &Outgoing) {
         if let Some(output) = &self.planar {
             let pose = answer.estimate.registration.odom_from_base;
             output.send(|| Pose2D { x: pose.x, y: pose.y, theta: pose.theta });
@@ -54,6 +55,6 @@ impl PoseOutputs {
     }
 }
 
-fn output<T: rosrust::Message>(ros: &Ros, topic: &'static str, wanted: bool) -> Result<Option<Output<T>>, NodeError> {
+fn output<T: Message>(ros: &Ros, topic: &'static str, wanted: bool) -> Result<Option<Output<T>>, NodeError> {
     if wanted { Output::urgent(ros, topic).map(Some) } else { Ok(None) }
 }

@@ -1,10 +1,10 @@
-//! How the contract was kept.
+//! Statistics of how the contract was kept.
 
 use std::fmt::{self, Write as _};
 use std::time::Duration;
 
-use crate::evaluation::statistics::percentile;
 use crate::messages::own::MatchReport;
+use crate::quantile;
 
 /// Answers whose edge has come and whose report has not, or the other way round: more than these are not on their way any more.
 const IN_FLIGHT: i64 = 2;
@@ -94,7 +94,7 @@ impl Adherence {
         let mean = |sum: Duration, count: u64| milliseconds(sum) / count as f64;
         let mut line = period.to_string();
         if period.reports > 0 {
-            let p99 = milliseconds(percentile(&elapsed, 99).unwrap_or_default());
+            let p99 = milliseconds(quantile::of_sorted(&elapsed, 0.99).unwrap_or_default());
             let _ = write!(line, "; elapsed mean {:.2} ms, p99 {p99:.2} ms", mean(elapsed.iter().sum(), period.reports));
         }
         if period.budgeted > 0 {

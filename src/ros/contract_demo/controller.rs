@@ -1,40 +1,40 @@
 //! The controller on the ROS graph.
 
-use std::path::Path;
+use std::fs::File;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
-use rosrust_msg::anytime_scan_matcher::Contract as ContractMessage;
 
 use super::ContractDemoKnobs;
 use super::adherence::Adherence;
 use super::asking::Asking;
-use super::csv_file::CsvFile;
+use super::row::Row;
 use super::schedule::Schedule;
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::contract::Contract;
 use crate::control::policy::Policy;
+use crate::io::csv_file::CsvFile;
 use crate::messages::Message as _;
 use crate::messages::nav_msgs::Odometry;
-use crate::messages::own::MatchReport;
+use crate::messages::own::{self, MatchReport};
 use crate::messages::std_msgs::{Header, Int32};
 use crate::ros::NodeError;
-use crate::ros::inlet::{Letter, Topic, listen};
-use crate::ros::links::Links;
-use crate::ros::log::{Log, ROSOUT};
-use crate::ros::master::{MasterLink, Role};
-use crate::ros::publishers::Output;
+use crate::ros::log::Log;
+use crate::ros::master::{MasterLink, MasterRegistration};
+use crate::ros::output::Output;
 use crate::ros::reader::Reader;
 use crate::ros::shutdown::StopSignal;
+use crate::ros::sink::{RawMessage, Topic};
+use crate::ros::subscriptions::Subscriptions;
 
 /// How often the node looks whether it is to stop.
 const TICK: Duration = Duration::from_millis(100);
 /// How often it looks after the master.
 const MASTER_PERIOD: Duration = Duration::from_secs(1);
 
-/// What it hears.
+/// Its inputs.
 #[derive(Clone, Copy, Debug)]
 enum Input {
     Odometry,
@@ -58,19 +58,19 @@ pub(super) struct Controller<'a> {
     ros: &'a Ros,
     clock: Arc<dyn Clock>,
     master: MasterLink<'a>,
-    letters: Receiver<(Input, Letter)>,
-    contracts: Output<ContractMessage>,
+    received: Receiver<(Input, RawMessage)>,
+    contracts: Output<own::Contract>,
     asking: Asking,
     schedule: Schedule,
-    /// As last heard, m/s.
+    /// Of the last message, m/s.
     speed: f64,
     adherence: Adherence,
-    csv: Option<CsvFile>,
+    csv: Option<CsvFile<File, Row>>,
     log_period: Duration,
     log: Log,
     reader: Reader,
     // Dropping this ends them.
-    _subscriptions: Links<'a>,
+    _subscriptions: Subscriptions<'a>,
 }
 
 impl<'a> Controller<'a> {
@@ -79,22 +79,21 @@ impl<'a> Controller<'a> {
         let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
         let in_words = in_words(&policy);
         let asking = Asking::new(policy, knobs)?;
-        let csv = knobs.csv.as_deref().map(|path| CsvFile::create(Path::new(path))).transpose();
-        let csv = csv.map_err(|problem| NodeError::Csv { problem })?;
+        let csv = knobs.csv.as_deref().map(create).transpose()?;
         let contracts = Output::new(ros, "icp_contract")?;
-        let (sender, letters) = channel();
-        let links = Links::new(ros, &clock, &log)?;
-        Input::ALL.into_iter().try_for_each(|input| subscribe(&links, input, sender.clone()))?;
-        let mut roles: Vec<Role> = Input::ALL.map(|input| input.topic().role()).into();
-        roles.extend([contracts.role(), Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
-        let master = MasterLink::new(ros, master, roles, &log)?;
+        let (sender, received) = channel();
+        let subscriptions = Subscriptions::new(ros, &clock, &log)?;
+        Input::ALL.into_iter().try_for_each(|input| subscribe(&subscriptions, input, sender.clone()))?;
+        let mut registrations: Vec<MasterRegistration> = Input::ALL.map(|input| input.topic().registration()).into();
+        registrations.extend([contracts.registration(), MasterRegistration::ROSOUT]);
+        let master = MasterLink::new(ros, master, registrations, &log)?;
         log.info(&in_words);
         let reader = Reader::new(&clock, &log);
         Ok(Self {
             ros,
             clock,
             master,
-            letters,
+            received,
             contracts,
             asking,
             schedule: Schedule::default(),
@@ -104,16 +103,16 @@ impl<'a> Controller<'a> {
             log_period: Duration::from_secs_f64(knobs.log_period.0),
             log,
             reader,
-            _subscriptions: links,
+            _subscriptions: subscriptions,
         })
     }
 
-    /// Until somebody wants it to stop.
+    /// Runs until it is told to stop.
     pub(super) fn run(mut self, stop: &StopSignal) {
         let (mut looked, mut logged) = (self.clock.now(), self.clock.now());
         while !stop.wait(Duration::ZERO) && self.ros.is_ok() {
-            if let Ok((input, letter)) = self.letters.recv_timeout(TICK) {
-                self.handle(input, &letter);
+            if let Ok((input, raw)) = self.received.recv_timeout(TICK) {
+                self.handle(input, &raw);
             }
             let now = self.clock.now();
             if now.saturating_sub(looked) >= MASTER_PERIOD {
@@ -128,20 +127,20 @@ impl<'a> Controller<'a> {
         self.log.info(&format!("in all: {}", self.adherence.total()));
     }
 
-    fn handle(&mut self, input: Input, letter: &Letter) {
+    fn handle(&mut self, input: Input, raw: &RawMessage) {
         match input {
             Input::Odometry => {
-                if let Some(message) = self.reader.read(Odometry::TYPE, letter) {
+                if let Some(message) = self.reader.read(Odometry::TYPE, raw) {
                     self.on_odometry(&message);
                 }
             }
             Input::State => {
-                if let Some(message) = self.reader.read::<Int32>(Int32::TYPE, letter) {
+                if let Some(message) = self.reader.read::<Int32>(Int32::TYPE, raw) {
                     self.adherence.on_state(message.data);
                 }
             }
             Input::Report => {
-                if let Some(message) = self.reader.read(MatchReport::TYPE, letter) {
+                if let Some(message) = self.reader.read(MatchReport::TYPE, raw) {
                     self.on_report(&message);
                 }
             }
@@ -170,7 +169,8 @@ impl<'a> Controller<'a> {
         }
         self.asking.set_familiar(report.outside_profile.is_empty());
         self.adherence.on_report(report);
-        if let Some(Err(problem)) = self.csv.as_mut().map(|csv| csv.write(report, self.speed)) {
+        let row = Row { report: report.clone(), speed: self.speed };
+        if let Some(Err(problem)) = self.csv.as_mut().map(|csv| csv.write(&row)) {
             self.reader.warn("csv", &format!("a row is lost: {problem}"));
         }
     }
@@ -195,18 +195,18 @@ fn in_words(policy: &Policy) -> String {
     }
 }
 
-fn subscribe(links: &Links, input: Input, sender: Sender<(Input, Letter)>) -> Result<(), NodeError> {
+fn subscribe(subscriptions: &Subscriptions, input: Input, sender: Sender<(Input, RawMessage)>) -> Result<(), NodeError> {
     // Nobody listens any more when the node is ending.
-    listen(links, input.topic(), move |letter| drop(sender.send((input, letter))))
+    subscriptions.listen(input.topic(), move |raw| drop(sender.send((input, raw))))
+}
+
+/// Makes the CSV file anew; it is whole after every row.
+fn create(path: &str) -> Result<CsvFile<File, Row>, NodeError> {
+    let file = File::create(path).map_err(csv::Error::from).and_then(|file| CsvFile::new(file, Row::COLUMNS));
+    file.map_err(|error| NodeError::Csv { problem: format!("{path}: {error}") })
 }
 
 /// With the header of the odometry that it follows from.
-fn contract_message(contract: &Contract, header: &Header) -> ContractMessage {
-    let stamp = rosrust::Time { sec: header.stamp.sec, nsec: header.stamp.nsec };
-    ContractMessage {
-        header: rosrust_msg::std_msgs::Header { seq: header.seq, stamp, frame_id: String::new() },
-        time_budget: contract.time_budget.unwrap_or_default().into(),
-        translation_error_bound: contract.translation_error_bound.unwrap_or_default(),
-        rotation_error_bound: contract.rotation_error_bound.unwrap_or_default(),
-    }
+fn contract_message(contract: &Contract, header: &Header) -> own::Contract {
+    own::Contract { header: Header { frame_id: String::new(), ..header.clone() }, ..contract.into() }
 }

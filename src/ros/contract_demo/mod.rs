@@ -9,7 +9,7 @@
 mod adherence;
 mod asking;
 mod controller;
-mod csv_file;
+mod row;
 mod schedule;
 
 use rosrust::api::{Master, Ros};

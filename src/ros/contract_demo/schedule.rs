@@ -8,8 +8,8 @@ use crate::anytime::contract::Contract;
 const SAME: f64 = 0.05;
 /// Contracts are at least this far apart.
 const MIN_PERIOD: Duration = Duration::from_millis(100);
-/// Reports that still name another contract after this time: ours was lost, or somebody else's came after it.
-const PATIENCE: Duration = Duration::from_secs(1);
+/// If reports still show another contract after this time, ours was lost, or another node's came after it: it is sent again.
+const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Keeps the matcher's contract near the one that is wanted, with few messages.
 #[derive(Default)]
@@ -29,7 +29,7 @@ impl Schedule {
         let due = self.sent.is_none_or(|(sent, at)| {
             let age = now.saturating_sub(at);
             let not_in_force = self.in_force.is_some_and(|in_force| in_force != sent);
-            age >= MIN_PERIOD && (differ(&sent, &wanted) || (age >= PATIENCE && not_in_force))
+            age >= MIN_PERIOD && (differ(&sent, &wanted) || (age >= TIMEOUT && not_in_force))
         });
         if due {
             self.sent = Some((wanted, now));

@@ -1,7 +1,7 @@
 //! The scan matcher with a map: what it has seen so far, and where the odometry's frame is on it.
 //!
 //! ```text
-//!  threads of links             matching thread                     mapping thread                main thread
+//!  reader threads               matching thread                     mapping thread                main thread
 //!  subscriptions --> mailbox --> matcher --> its publishers          keyframes, loops, grid       supervisor
 //!                                  |  feed: scans, a bounded channel --> maker --> map, graph, files
 //!                                  ^------ where the odometry's frame is on the map --v
@@ -19,45 +19,32 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-use rosrust::api::{Master, Ros};
+use rosrust::api::Ros;
 
 pub(super) use self::feed::MapFeed;
 use self::feed::Order;
 use self::maker::MapMaker;
 use self::outlets::Outlets;
-use super::compat::Face;
 use super::diagnostics::Monitor;
 use super::log::Log;
-use super::master::Role;
+use super::master::MasterRegistration;
 use super::services::{self, Service};
-use super::shutdown::StopSignal;
-use super::{NodeError, node, params, shell, supervisor};
+use super::{NodeError, params, supervisor};
 use crate::anytime::clock::Clock;
 use crate::config::Config;
 use crate::geometry::Pose2;
 
-const NAME: &str = "mapper";
 /// Scans that may wait for the mapping thread: some seconds of a fast laser's, while a great loop is closed.
 const CAPACITY: usize = 256;
 /// Keyframes of the matcher's own: more than it matches to, as it closes no loops.
 const OWN_KEYFRAMES: u32 = 100;
 
-/// Runs the node `mapper` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and parameters.
-pub fn run() -> Result<(), NodeError> {
-    shell::run(NAME, serve)
-}
-
-fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
-    let mut config = params::read(master, ros.name())?;
-    check_name(ros.name(), &config.mapping.name)?;
+/// What the matcher beside a map is configured as: the map closes the loops.
+pub(super) fn prepare(node: &str, config: &mut Config) -> Result<(), NodeError> {
+    check_name(node, &config.mapping.name)?;
     config.odometry.close_loops = false;
     config.odometry.max_keyframes = config.odometry.max_keyframes.min(OWN_KEYFRAMES);
-    let face = Face::native(&config);
-    stop.hold(config.mapping.save_on_exit);
-    let mapping = |clock: &_, monitor: &_, log: &_| Mapping::start(ros, &config, clock, monitor, log).map(Some);
-    let outcome = node::serve(ros, master, stop, &config, &face, mapping);
-    stop.hold(false);
-    outcome
+    Ok(())
 }
 
 /// A name leads to no other folder.
@@ -74,18 +61,24 @@ pub(super) struct Mapping {
     orders: SyncSender<Order>,
     thread: JoinHandle<()>,
     pub(super) services: Vec<Service>,
-    /// How its topics stand in the master's books.
-    pub(super) roles: Vec<Role>,
+    /// How its topics are registered with the master.
+    pub(super) registrations: Vec<MasterRegistration>,
     /// What the matcher hands its answers to.
     pub(super) feed: Option<MapFeed>,
 }
 
 impl Mapping {
-    fn start(ros: &Ros, config: &Config, clock: &Arc<dyn Clock>, monitor: &Arc<Monitor>, log: &Log) -> Result<Self, NodeError> {
+    pub(super) fn start(
+        ros: &Ros,
+        config: &Config,
+        clock: &Arc<dyn Clock>,
+        monitor: &Arc<Monitor>,
+        log: &Log,
+    ) -> Result<Self, NodeError> {
         let (orders, received) = sync_channel(CAPACITY);
         let place = Arc::new(Mutex::new((0, Pose2::IDENTITY)));
         let outlets = Outlets::new(ros, &config.frames.map_frame)?;
-        let roles = outlets.roles();
+        let registrations = outlets.registrations();
         let services = vec![
             services::map(ros, "dynamic_map", outlets.last_map())?,
             services::ordered(ros, "~save_map", orders.clone(), Order::Save)?,
@@ -93,7 +86,7 @@ impl Mapping {
         let feed = MapFeed::new(orders.clone(), Arc::clone(&place), Arc::clone(monitor));
         let (config, clock, log) = (config.clone(), Arc::clone(clock), log.clone());
         let thread = supervisor::spawn("mapping", move || MapMaker::new(config, clock, log, outlets, place).run(&received))?;
-        Ok(Self { orders, thread, services, roles, feed: Some(feed) })
+        Ok(Self { orders, thread, services, registrations, feed: Some(feed) })
     }
 
     /// Ends the mapping once the matcher has ended, and waits until the map is saved, if it is to be.

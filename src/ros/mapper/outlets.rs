@@ -3,24 +3,23 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rosrust::api::Ros;
-use rosrust_msg::visualization_msgs::Marker;
 
 use super::convert;
 use crate::app::map_message;
 use crate::map::grid::OccupancyGrid;
 use crate::mapping::Mapper;
 use crate::messages::nav_msgs;
+use crate::messages::visualization_msgs::Marker;
 use crate::ros::NodeError;
-use crate::ros::master::Role;
-use crate::ros::outlet::Outlet;
-use crate::ros::publishers::Output;
+use crate::ros::master::MasterRegistration;
+use crate::ros::output::Output;
 use crate::ros::services::LastMap;
 use crate::time::Stamp;
 
 /// Every topic of the map.
 pub(super) struct Outlets {
-    map: Outlet<nav_msgs::OccupancyGrid>,
-    metadata: Outlet<nav_msgs::MapMetaData>,
+    map: Output<nav_msgs::OccupancyGrid>,
+    metadata: Output<nav_msgs::MapMetaData>,
     graph: Output<Marker>,
     frame: String,
     /// For who asks for it.
@@ -30,17 +29,17 @@ pub(super) struct Outlets {
 impl Outlets {
     pub(super) fn new(ros: &Ros, map_frame: &str) -> Result<Self, NodeError> {
         Ok(Self {
-            map: Outlet::latched(ros, "map")?,
-            metadata: Outlet::latched(ros, "map_metadata")?,
+            map: Output::latched(ros, "map")?,
+            metadata: Output::latched(ros, "map_metadata")?,
             graph: Output::new(ros, "mapper/graph")?,
             frame: map_frame.into(),
             last: Arc::new(Mutex::new(None)),
         })
     }
 
-    /// How the topics stand in the master's books.
-    pub(super) fn roles(&self) -> Vec<Role> {
-        vec![self.map.role(), self.metadata.role(), self.graph.role()]
+    /// How the topics are registered with the master.
+    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
+        vec![self.map.registration(), self.metadata.registration(), self.graph.registration()]
     }
 
     /// The map that was published last.

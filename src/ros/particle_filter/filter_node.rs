@@ -4,24 +4,24 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::convert::Placed;
+use super::input::Input;
 use super::publishers::Publishers;
-use super::subscriptions::Input;
 use crate::anytime::interrupt::Interrupt;
 use crate::app::localizer::{Fix, Localizer, LocalizerError};
 use crate::app::sensed::Sensed;
 use crate::app::{Answering as _, InputError, map_message};
 use crate::config::Config;
 use crate::geometry::PoseCovariance;
-use crate::localization::filter::Belief;
+use crate::localization::estimate::Belief;
 use crate::map::grid::OccupancyGrid;
 use crate::messages::own::Contract;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::messages::{Message, nav_msgs};
 use crate::ros::diagnostics::{Sample, TRANSFORM_WITHHELD};
-use crate::ros::inlet::Letter;
 use crate::ros::mailbox::{Event, NextScan};
 use crate::ros::priority::let_writers_go_first;
-use crate::ros::transform_output::Rival;
+use crate::ros::sink::RawMessage;
+use crate::ros::transform_output::ConflictingPublisher;
 use crate::ros::worker::{self, Estimator, NodeInput as _};
 use crate::time::Stamp;
 use crate::transforms::TransformTree;
@@ -29,7 +29,7 @@ use crate::transforms::TransformTree;
 type Desk = worker::Desk<Input>;
 
 /// Who publishes the same transform for longer than this does not give way to this node.
-const PATIENCE_WITH_RIVAL: Duration = Duration::from_secs(2);
+const CONFLICT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Conditions of this node.
 const NO_MAP: &str = "there is no map yet (parameter localization/map, or topic map)";
@@ -49,7 +49,7 @@ pub(super) struct FilterNode {
     covariance: PoseCovariance,
     publishers: Publishers,
     /// Since when another node says where the odometry's frame is, and when it last did.
-    rival: Option<(Duration, Duration)>,
+    other: Option<(Duration, Duration)>,
 }
 
 impl FilterNode {
@@ -63,7 +63,7 @@ impl FilterNode {
             contract: None,
             covariance: PoseCovariance::zeros(),
             publishers,
-            rival: None,
+            other: None,
         }
     }
 
@@ -82,7 +82,7 @@ impl FilterNode {
                 desk.monitor.set_condition(NO_MAP, false);
                 desk.log.info(&format!("has a map of {size}"));
             }
-            Err(error) => desk.log.error(&format!("the map of {size} is of no use: {error}")),
+            Err(error) => desk.log.error(&format!("the map of {size} is unusable: {error}")),
         }
     }
 
@@ -99,16 +99,16 @@ impl FilterNode {
         Ok(())
     }
 
-    fn hear(&mut self, input: Input, letter: &Letter, desk: &mut Desk) {
-        let sender = letter.sender.as_str();
+    fn hear(&mut self, input: Input, raw: &RawMessage, desk: &mut Desk) {
+        let sender = raw.sender.as_str();
         match input {
             Input::Scan | Input::Cloud | Input::Map | Input::Interrupt => {} // have their own ways
-            Input::Odometry => self.tell(input, letter, desk, |localizer, message| localizer.on_odometry(&message)),
+            Input::Odometry => self.tell(input, raw, desk, |localizer, message| localizer.on_odometry(&message)),
             Input::InitialPose => {
-                self.tell(input, letter, desk, |localizer, message| localizer.on_initial_pose(&message, letter.arrival));
+                self.tell(input, raw, desk, |localizer, message| localizer.on_initial_pose(&message, raw.arrival));
             }
-            Input::ClickedPoint => self.tell(input, letter, desk, |localizer, message| localizer.on_clicked_point(&message)),
-            Input::Contract => match (desk.reader.read::<Contract>(input.name(), letter), &mut self.localizer) {
+            Input::ClickedPoint => self.tell(input, raw, desk, |localizer, message| localizer.on_clicked_point(&message)),
+            Input::Contract => match (desk.reader.read::<Contract>(input.name(), raw), &mut self.localizer) {
                 (Some(contract), Some(localizer)) => {
                     let outcome = localizer.on_contract(&contract);
                     judge(input, sender, outcome, desk);
@@ -116,7 +116,7 @@ impl FilterNode {
                 (contract, _) => self.contract = contract.or(self.contract.take()),
             },
             Input::Transforms | Input::StaticTransforms => {
-                let Some(message) = desk.reader.read::<TFMessage>(input.name(), letter) else { return };
+                let Some(message) = desk.reader.read::<TFMessage>(input.name(), raw) else { return };
                 self.give_way(&message, sender, desk);
                 if let Some(localizer) = &mut self.localizer {
                     let outcome = localizer.on_transforms(&message);
@@ -128,31 +128,31 @@ impl FilterNode {
         }
     }
 
-    /// Hands a message on; before there is a map, nobody needs it.
+    /// Hands a message on; before there is a map it is not needed.
     fn tell<T: Message>(
         &mut self,
         input: Input,
-        letter: &Letter,
+        raw: &RawMessage,
         desk: &mut Desk,
         take: impl FnOnce(&mut Localizer, T) -> Result<(), InputError>,
     ) {
-        let Some(message) = desk.reader.read(input.name(), letter) else { return };
+        let Some(message) = desk.reader.read(input.name(), raw) else { return };
         if let Some(localizer) = &mut self.localizer {
             let outcome = take(localizer, message);
-            judge(input, &letter.sender, outcome, desk);
+            judge(input, &raw.sender, outcome, desk);
         }
     }
 
     /// To who goes on in spite of this node; a scan matcher gives way itself.
     fn give_way(&mut self, message: &TFMessage, sender: &str, desk: &Desk) {
         let odom_frame = &self.config.frames.odom_frame;
-        let Some(rival) = Rival::find(message, sender, odom_frame) else { return };
+        let Some(other) = ConflictingPublisher::find(message, sender, odom_frame) else { return };
         let now = desk.clock.now();
-        let is_recent = |heard: Duration| now.saturating_sub(heard) <= PATIENCE_WITH_RIVAL;
-        let since = self.rival.filter(|(_, last)| is_recent(*last)).map_or(now, |(since, _)| since);
-        self.rival = Some((since, now));
+        let is_recent = |heard: Duration| now.saturating_sub(heard) <= CONFLICT_TIMEOUT;
+        let since = self.other.filter(|(_, last)| is_recent(*last)).map_or(now, |(since, _)| since);
+        self.other = Some((since, now));
         if !is_recent(since)
-            && let Some(warning) = self.publishers.transform().give_way(&rival, odom_frame)
+            && let Some(warning) = self.publishers.transform().give_way(&other, odom_frame)
         {
             desk.log.warn(&warning);
             desk.monitor.set_condition(TRANSFORM_WITHHELD, true);
@@ -190,15 +190,15 @@ impl Estimator for FilterNode {
                 Some(localizer) => localizer.spread(),
                 None => desk.log.warn(NO_MAP),
             },
-            Event::Message(Input::Map, letter) => {
-                if let Some(message) = desk.reader.read::<nav_msgs::OccupancyGrid>(Input::Map.name(), &letter) {
+            Event::Message(Input::Map, raw) => {
+                if let Some(message) = desk.reader.read::<nav_msgs::OccupancyGrid>(Input::Map.name(), &raw) {
                     match map_message::grid(&message) {
                         Ok(map) => self.set_map(map, desk),
-                        Err(error) => desk.reader.refuse(Input::Map.name(), &letter.sender, &error),
+                        Err(error) => desk.reader.refuse(Input::Map.name(), &raw.sender, &error),
                     }
                 }
             }
-            Event::Message(input, letter) => self.hear(input, &letter, desk),
+            Event::Message(input, raw) => self.hear(input, &raw, desk),
             Event::SaveProfile | Event::Change(_) => {} // the scan matcher's alone
         }
     }

@@ -8,8 +8,8 @@ use crate::map::grid::OccupancyGrid;
 use crate::messages::nav_msgs;
 use crate::ros::NodeError;
 use crate::ros::log::Log;
-use crate::ros::master::{Role, connect, resolved};
-use crate::ros::outlet::Outlet;
+use crate::ros::master::{MasterRegistration, connect, resolved};
+use crate::ros::output::Output;
 use crate::ros::services::{self, Service};
 
 const MAP: &str = "map";
@@ -17,8 +17,8 @@ const STATIC_MAP: &str = "static_map";
 
 /// What the map leaves by, for as long as this lives.
 pub(super) struct MapServer {
-    map: Outlet<nav_msgs::OccupancyGrid>,
-    metadata: Outlet<nav_msgs::MapMetaData>,
+    map: Output<nav_msgs::OccupancyGrid>,
+    metadata: Output<nav_msgs::MapMetaData>,
 }
 
 impl MapServer {
@@ -29,7 +29,7 @@ impl MapServer {
             return Ok(None);
         }
         let message = map_message::message(grid, &config.frames.map_frame);
-        let server = Self { map: Outlet::latched(ros, MAP)?, metadata: Outlet::latched(ros, "map_metadata")? };
+        let server = Self { map: Output::latched(ros, MAP)?, metadata: Output::latched(ros, "map_metadata")? };
         server.metadata.keep(&message.info);
         server.map.keep(&message);
         let answer = services::map_response(&message).map_err(|problem| NodeError::ros("serve the map", &problem))?;
@@ -38,9 +38,9 @@ impl MapServer {
         Ok(Some((server, service)))
     }
 
-    /// How the topics stand in the master's books.
-    pub(super) fn roles(&self) -> [Role; 2] {
-        [self.map.role(), self.metadata.role()]
+    /// How the topics are registered with the master.
+    pub(super) fn registrations(&self) -> [MasterRegistration; 2] {
+        [self.map.registration(), self.metadata.registration()]
     }
 }
 

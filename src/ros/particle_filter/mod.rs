@@ -1,16 +1,16 @@
 //! The particle filter as a node: where the robot is on a map.
 //!
 //! ```text
-//!  threads of links             localizing thread             main thread
+//!  reader threads               localizing thread             main thread
 //!  subscriptions --> mailbox --> worker --> publishers        supervisor
 //!                     timer -----^
 //! ```
 
 mod convert;
 mod filter_node;
+mod input;
 mod map_server;
 mod publishers;
-mod subscriptions;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -18,17 +18,17 @@ use std::sync::Arc;
 use rosrust::api::{Master, Ros};
 
 use self::filter_node::FilterNode;
+use self::input::Input;
 use self::map_server::MapServer;
 use self::publishers::Publishers;
-use self::subscriptions::Input;
 use super::diagnostics::{Diagnostics, Monitor, Task};
 use super::interrupts::Interrupts;
-use super::links::Links;
 use super::log::Log;
 use super::mailbox::Mailbox;
 use super::master::resolved;
 use super::node::describe;
 use super::shutdown::StopSignal;
+use super::subscriptions::Subscriptions;
 use super::supervisor::{self, Parts, Supervisor};
 use super::worker::{NodeInput as _, Shared, Worker, subscribe};
 use super::{NodeError, params, services, shell};
@@ -67,12 +67,12 @@ fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input
     let (map_server, static_map) = map_server.unzip();
     let publishers = Publishers::new(ros, &config.frames, map_server)?;
     let diagnostics = Diagnostics::new(ros, TASK)?;
-    let mut roles = publishers.roles();
-    roles.extend(Input::wanted(config).map(|input| input.topic().role()));
+    let mut registrations = publishers.registrations();
+    registrations.extend(Input::wanted(config).map(|input| input.topic().registration()));
 
     let services = [services::reset(ros, GLOBAL, &mailbox)?].into_iter().chain(static_map).collect();
-    let links = Links::new(ros, &clock, log)?;
-    Input::wanted(config).try_for_each(|input| subscribe(&links, input, &mailbox, &interrupts))?;
+    let subscriptions = Subscriptions::new(ros, &clock, log)?;
+    Input::wanted(config).try_for_each(|input| subscribe(&subscriptions, input, &mailbox, &interrupts))?;
     let shared = Shared {
         mailbox: Arc::clone(&mailbox),
         interrupts,
@@ -83,10 +83,10 @@ fn start<'a>(ros: &'a Ros, config: &Config, log: &Log) -> Result<Parts<'a, Input
     };
     let (node, timer) = (FilterNode::new(config.clone(), publishers, map), config.localization.timer(clock.now()));
     let worker = supervisor::spawn("localizing", || Worker::new(node, shared).run(timer))?;
-    Ok(Parts { clock, mailbox, monitor, diagnostics, worker, links, services, roles })
+    Ok(Parts { clock, mailbox, monitor, diagnostics, worker, subscriptions, services, registrations })
 }
 
-/// The map of the file that the configuration names. One that is of no use is told: the map may still come on the topic.
+/// The map of the file that the configuration names. An unusable one is logged only: the map may still come on the topic.
 fn read_map_file(config: &Config, log: &Log) -> Option<OccupancyGrid> {
     let path = config.localization.map.as_deref()?;
     let map = map_file::read(Path::new(path));

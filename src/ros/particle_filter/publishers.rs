@@ -1,20 +1,20 @@
-//! What the node says.
+//! Outputs of the node.
 
 use rosrust::api::Ros;
-use rosrust_msg::anytime_scan_matcher::FilterReport;
-use rosrust_msg::geometry_msgs::{PoseArray, PoseStamped};
-use rosrust_msg::nav_msgs::Odometry;
-use rosrust_msg::sensor_msgs::LaserScan as ScanMessage;
 
-use super::convert::{Placed, fake_scan, particles, report};
+use super::convert::{Placed, fake_scan, header, particles};
 use super::map_server::MapServer;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::sensed::Sensed;
 use crate::config::FrameKnobs;
 use crate::geometry::Pose2;
+use crate::messages::geometry_msgs::{PoseArray, PoseStamped};
+use crate::messages::nav_msgs::Odometry;
+use crate::messages::own::FilterReport;
+use crate::messages::sensor_msgs::LaserScan;
 use crate::ros::NodeError;
-use crate::ros::master::Role;
-use crate::ros::publishers::Output;
+use crate::ros::master::MasterRegistration;
+use crate::ros::output::Output;
 use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
 
@@ -27,7 +27,7 @@ pub(super) struct Publishers {
     report: Output<FilterReport>,
     particles: Output<PoseArray>,
     inferred_pose: Output<PoseStamped>,
-    fake_scan: Output<ScanMessage>,
+    fake_scan: Output<LaserScan>,
     transform: TransformOutput,
     /// Where the map came from a file.
     map: Option<MapServer>,
@@ -50,11 +50,20 @@ impl Publishers {
         })
     }
 
-    /// How the topics stand in the master's books.
-    pub(super) fn roles(&self) -> Vec<Role> {
-        let always =
-            [self.pose.role(), self.report.role(), self.particles.role(), self.inferred_pose.role(), self.fake_scan.role()];
-        always.into_iter().chain(self.transform.role()).chain(self.map.iter().flat_map(MapServer::roles)).collect()
+    /// How the topics are registered with the master.
+    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
+        let always = [
+            self.pose.registration(),
+            self.report.registration(),
+            self.particles.registration(),
+            self.inferred_pose.registration(),
+            self.fake_scan.registration(),
+        ];
+        always
+            .into_iter()
+            .chain(self.transform.registration())
+            .chain(self.map.iter().flat_map(MapServer::registrations))
+            .collect()
     }
 
     /// The output of transforms.
@@ -77,7 +86,7 @@ impl Publishers {
     }
 
     pub(super) fn publish_report(&self, fix: &Fix, dropped: u64, map_frame: &str) {
-        self.report.send(|| report(fix, dropped, map_frame));
+        self.report.send(|| fix.report(header(fix.stamp, map_frame), dropped));
     }
 
     /// What people look at.

@@ -1,25 +1,20 @@
 //! The follower's messages.
 
-use rosrust_msg::geometry_msgs::{Point as PointMessage, Vector3};
-use rosrust_msg::std_msgs::{ColorRGBA, Header as MarkerHeader};
-use rosrust_msg::visualization_msgs::Marker;
-
 use crate::control::follower::Step;
 use crate::control::path::{Path, Waypoint};
+use crate::control::safety::StopReason;
 use crate::geometry::{Point, Pose2};
 use crate::messages::ackermann_msgs::{AckermannDrive, AckermannDriveStamped};
 use crate::messages::geometry_msgs::PoseStamped;
 use crate::messages::nav_msgs;
 use crate::messages::own::FollowerReport;
 use crate::messages::std_msgs::Header;
+use crate::messages::visualization_msgs::Marker;
+use crate::ros::markers::{self, Style};
 use crate::time::Stamp;
 
 /// Distance between the points of a path as it is shown, m.
 const SHOWN: f64 = 0.2;
-
-fn header(number: u32, stamp: Stamp, frame: &str) -> Header {
-    Header { seq: number, stamp: stamp.into(), frame_id: frame.into() }
-}
 
 /// The waypoints of a path's message, in the frame that `pose_from_path` takes them to.
 pub(super) fn waypoints(message: &nav_msgs::Path, pose_from_path: &Pose2) -> Vec<Waypoint> {
@@ -32,14 +27,15 @@ pub(super) fn waypoints(message: &nav_msgs::Path, pose_from_path: &Pose2) -> Vec
 pub(super) fn drive(number: u32, stamp: Stamp, frame: &str, step: &Step) -> AckermannDriveStamped {
     let drive =
         AckermannDrive { speed: step.command.speed as f32, steering_angle: step.steering as f32, ..AckermannDrive::default() };
-    AckermannDriveStamped { header: header(number, stamp, frame), drive }
+    AckermannDriveStamped { header: Header::new(number, stamp, frame), drive }
 }
 
 pub(super) fn report(number: u32, stamp: Stamp, frame: &str, step: &Step, path: Option<&Path>) -> FollowerReport {
     let place = step.place;
     FollowerReport {
-        header: header(number, stamp, frame),
+        header: Header::new(number, stamp, frame),
         driving: step.stop.is_none(),
+        stop_reason: step.stop.as_ref().map_or("", StopReason::code).into(),
         reason: step.stop.map_or_else(String::new, |stop| stop.to_string()),
         lateral_error: place.map_or(f64::NAN, |place| place.lateral_error),
         heading_error: place.map_or(f64::NAN, |place| place.heading_error),
@@ -59,25 +55,9 @@ pub(super) fn markers(stamp: Stamp, frame: &str, path: &Path, step: &Step) -> [M
     let end = if path.is_closed() { path.length() } else { path.length() - 1e-6 };
     let points = (0..=(end / SHOWN) as usize).map(|i| path.point(i as f64 * SHOWN)).chain([path.point(end)]);
     let target = step.place.map(|place| path.point(place.along + step.lookahead));
-    [
-        marker(stamp, frame, (0, Marker::LINE_STRIP, 0.05), [0.2, 0.8, 0.3], &points.collect::<Vec<_>>()),
-        marker(stamp, frame, (1, Marker::POINTS, 0.2), [0.95, 0.3, 0.1], target.as_slice()),
-    ]
-}
-
-fn marker(stamp: Stamp, frame: &str, (id, kind, size): (i32, u8, f64), [r, g, b]: [f32; 3], points: &[Point]) -> Marker {
-    let (sec, nsec) = stamp.to_ros();
-    let mut marker = Marker {
-        header: MarkerHeader { seq: 0, stamp: rosrust::Time { sec, nsec }, frame_id: frame.into() },
-        ns: "follower".into(),
-        id,
-        type_: i32::from(kind),
-        action: i32::from(Marker::ADD),
-        scale: Vector3 { x: size, y: size, z: 0.0 },
-        color: ColorRGBA { r, g, b, a: 1.0 },
-        points: points.iter().map(|p| PointMessage { x: p.x, y: p.y, z: 0.03 }).collect(),
-        ..Marker::default()
-    };
-    marker.pose.orientation.w = 1.0;
-    marker
+    let shown = [
+        (Style { kind: Marker::LINE_STRIP, width: 0.05, color: [0.2, 0.8, 0.3] }, points.map(|p| markers::point(&p)).collect()),
+        (Style { kind: Marker::POINTS, width: 0.2, color: [0.95, 0.3, 0.1] }, target.iter().map(markers::point).collect()),
+    ];
+    markers::markers(&Header::new(0, stamp, frame), "follower", shown)
 }

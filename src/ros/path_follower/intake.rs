@@ -1,4 +1,4 @@
-//! What the follower hears, made its own: paths and scans in the right frames, poses, and ways to goals.
+//! Inputs of the follower: paths and scans in the right frames, poses, and planned paths to goals.
 
 use std::sync::Arc;
 
@@ -9,8 +9,8 @@ use crate::app::{map_message, planar_pose};
 use crate::control::follower::{Follower, PoseReading};
 use crate::control::path::{PathError, Waypoint};
 use crate::control::progress::Arrival;
-use crate::geometry::{Point, Pose2, PoseCovariance};
-use crate::messages::geometry_msgs::PoseStamped;
+use crate::geometry::{Point, Pose2};
+use crate::messages::geometry_msgs::{PoseStamped, planar_covariance};
 use crate::messages::nav_msgs::{OccupancyGrid, Odometry, Path};
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
@@ -40,7 +40,7 @@ pub(super) struct Intake {
     world: Option<Arc<GridWorld>>,
     /// The way round the map, until it is known which way the car looks.
     round: Option<Vec<Waypoint>>,
-    /// Where the car was when last heard of.
+    /// Last known pose of the car.
     pose: Option<Pose2>,
 }
 
@@ -70,8 +70,7 @@ impl Intake {
 
     pub(super) fn on_pose(&mut self, message: &Odometry) -> Result<(), String> {
         let pose = planar_pose(&message.pose.pose).map_err(|error| error.to_string())?;
-        let of = |row: usize, column: usize| message.pose.covariance[6 * row + column];
-        let covariance = PoseCovariance::from_fn(|row, column| of([0, 1, 5][row], [0, 1, 5][column]));
+        let covariance = planar_covariance(&message.pose.covariance);
         let twist = &message.twist.twist;
         let is_told = twist.linear.x.is_finite() && (twist.linear.x != 0.0 || twist.angular.z != 0.0);
         self.pose_frame = Some(frame_name(&message.header.frame_id).into());

@@ -6,10 +6,9 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
-use rosrust_msg::visualization_msgs::Marker;
 
 use super::intake::{Intake, Remark};
-use super::{AllKnobs, convert};
+use super::{AllKnobs, PathFollowerKnobs, convert};
 use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::timer::Timer;
 use crate::control::follower::{Follower, Step};
@@ -24,17 +23,17 @@ use crate::messages::nav_msgs::{OccupancyGrid, Odometry, Path};
 use crate::messages::own::FollowerReport;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
+use crate::messages::visualization_msgs::Marker;
 use crate::ros::NodeError;
-use crate::ros::inlet::{Letter, Topic, listen};
-use crate::ros::links::Links;
-use crate::ros::log::{Log, ROSOUT};
-use crate::ros::master::{MasterLink, Role};
-use crate::ros::outlet::Outlet;
+use crate::ros::log::Log;
+use crate::ros::master::{MasterLink, MasterRegistration};
+use crate::ros::output::Output;
 use crate::ros::params;
-use crate::ros::publishers::Output;
 use crate::ros::reader::Reader;
 use crate::ros::services::{self, Service};
 use crate::ros::shutdown::StopSignal;
+use crate::ros::sink::{RawMessage, Topic};
+use crate::ros::subscriptions::Subscriptions;
 use crate::time::Stamp;
 
 /// From one look at the master to the next.
@@ -42,7 +41,7 @@ const MASTER_PERIOD: Duration = Duration::from_secs(1);
 /// From one picture of the path to the next.
 const MARKER_PERIOD: Duration = Duration::from_millis(200);
 
-/// What it hears.
+/// Its inputs.
 #[derive(Clone, Copy, Debug)]
 enum Input {
     Path,
@@ -72,24 +71,24 @@ impl Input {
     }
 }
 
-/// What it says.
-struct Outlets {
-    drive: Outlet<AckermannDriveStamped>,
-    report: Outlet<FollowerReport>,
+/// Its outputs.
+struct Publishers {
+    drive: Output<AckermannDriveStamped>,
+    report: Output<FollowerReport>,
     markers: Output<Marker>,
 }
 
-impl Outlets {
+impl Publishers {
     fn new(ros: &Ros) -> Result<Self, NodeError> {
         Ok(Self {
-            drive: Outlet::new(ros, "drive")?,
-            report: Outlet::new(ros, "follower/report")?,
+            drive: Output::new(ros, "drive")?,
+            report: Output::new(ros, "follower/report")?,
             markers: Output::new(ros, "follower/viz")?,
         })
     }
 
-    fn roles(&self) -> [Role; 3] {
-        [self.drive.role(), self.report.role(), self.markers.role()]
+    fn registrations(&self) -> [MasterRegistration; 3] {
+        [self.drive.registration(), self.report.registration(), self.markers.registration()]
     }
 }
 
@@ -97,38 +96,38 @@ pub(super) struct Node<'a> {
     ros: &'a Ros,
     clock: Arc<dyn Clock>,
     master: MasterLink<'a>,
-    letters: Receiver<(Input, Option<Letter>)>,
-    outlets: Outlets,
+    received: Receiver<(Input, Option<RawMessage>)>,
+    publishers: Publishers,
     intake: Intake,
     base_frame: String,
     commands: Timer,
     markers: Timer,
     number: u32,
     /// As last said.
-    stop: Option<String>,
+    stop: Option<&'static str>,
     log: Log,
     reader: Reader,
     _resume: Service,
     // Dropping this ends them.
-    _links: Links<'a>,
+    _subscriptions: Subscriptions<'a>,
 }
 
 impl<'a> Node<'a> {
     pub(super) fn start(ros: &'a Ros, master: &'a Master, knobs: AllKnobs) -> Result<Self, NodeError> {
         let log = Log::new(ros)?;
         let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
-        let outlets = Outlets::new(ros)?;
-        let (sender, letters) = channel();
-        let links = Links::new(ros, &clock, &log)?;
-        Input::TOPICS.into_iter().try_for_each(|input| subscribe(&links, input, sender.clone()))?;
+        let publishers = Publishers::new(ros)?;
+        let (sender, received) = channel();
+        let subscriptions = Subscriptions::new(ros, &clock, &log)?;
+        Input::TOPICS.into_iter().try_for_each(|input| subscribe(&subscriptions, input, sender.clone()))?;
         let resume = services::trigger(ros, "~resume", move || {
             drop(sender.send((Input::Resume, None)));
             Ok("the car may go on".into())
         })?;
-        let mut roles: Vec<Role> = Input::TOPICS.map(|input| input.topic().role()).into();
-        roles.extend(outlets.roles());
-        roles.extend([resume.role(ros)?, Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() }]);
-        let master = MasterLink::new(ros, master, roles, &log)?;
+        let mut registrations: Vec<MasterRegistration> = Input::TOPICS.map(|input| input.topic().registration()).into();
+        registrations.extend(publishers.registrations());
+        registrations.extend([resume.registration(ros)?, MasterRegistration::ROSOUT]);
+        let master = MasterLink::new(ros, master, registrations, &log)?;
         let (now, reader) = (clock.now(), Reader::new(&clock, &log));
         let AllKnobs { node, follower } = knobs;
         log.info(&format!(
@@ -139,19 +138,13 @@ impl<'a> Node<'a> {
         ));
         let period = Duration::from_secs_f64(node.rate.recip());
         let mut intake = Intake::new(Follower::new(follower), node.clone());
-        if let Some(file) = &node.map_file {
-            let remark = intake.set_map(map_file::read(std::path::Path::new(file))?)?;
-            tell(remark, &log);
-        }
-        if let Some(file) = &node.path_file {
-            read_path(ros.name(), file, &mut intake, &log)?;
-        }
+        read_files(ros.name(), &node, &mut intake, &log)?;
         Ok(Self {
             ros,
             clock,
             master,
-            letters,
-            outlets,
+            received,
+            publishers,
             intake,
             base_frame: node.base_frame,
             commands: Timer::new(period, now),
@@ -161,16 +154,16 @@ impl<'a> Node<'a> {
             log,
             reader,
             _resume: resume,
-            _links: links,
+            _subscriptions: subscriptions,
         })
     }
 
-    /// Until somebody wants it to stop. The last command is to stand.
+    /// Runs until it is told to stop. The last command is to stand.
     pub(super) fn run(mut self, stop: &StopSignal) {
         let mut looks = Timer::new(MASTER_PERIOD, self.clock.now());
         while !stop.wait(Duration::ZERO) && self.ros.is_ok() {
-            if let Ok((input, letter)) = self.letters.recv_timeout(self.commands.left(self.clock.now())) {
-                self.handle(input, letter.as_ref());
+            if let Ok((input, raw)) = self.received.recv_timeout(self.commands.left(self.clock.now())) {
+                self.handle(input, raw.as_ref());
             }
             let now = self.clock.now();
             if self.commands.is_due(now) {
@@ -182,7 +175,7 @@ impl<'a> Node<'a> {
         }
         if self.intake.follower.progress().is_some() {
             let message = AckermannDriveStamped::default();
-            self.outlets.drive.send(|| message);
+            self.publishers.drive.send(|| message);
         }
     }
 
@@ -191,21 +184,21 @@ impl<'a> Node<'a> {
         Stamp::from_ros(time.sec, time.nsec)
     }
 
-    fn handle(&mut self, input: Input, letter: Option<&Letter>) {
-        let Some(letter) = letter else {
+    fn handle(&mut self, input: Input, raw: Option<&RawMessage>) {
+        let Some(raw) = raw else {
             self.log.info("told to go on");
             return self.intake.follower.resume();
         };
         match input {
             Input::Pose => {
-                self.with(letter, "pose", |intake, message| intake.on_pose(&message));
+                self.with(raw, "pose", |intake, message| intake.on_pose(&message));
                 let remark = self.intake.begin_round();
                 self.say(remark);
             }
-            Input::Scan => self.with(letter, "scan", |intake, message| intake.on_scan(&message)),
-            Input::Map => self.with(letter, "map", |intake, message| intake.on_map(&message)),
+            Input::Scan => self.with(raw, "scan", |intake, message| intake.on_scan(&message)),
+            Input::Map => self.with(raw, "map", |intake, message| intake.on_map(&message)),
             Input::Transforms | Input::StaticTransforms => {
-                self.with(letter, "tf", |intake, message| {
+                self.with(raw, "tf", |intake, message| {
                     intake.on_transforms(&message);
                     Ok(())
                 });
@@ -213,25 +206,30 @@ impl<'a> Node<'a> {
                 self.say(remark);
             }
             Input::Path | Input::Resume => {
-                if let Some(message) = self.reader.read::<Path>(Path::TYPE, letter) {
+                if let Some(message) = self.reader.read::<Path>(Path::TYPE, raw) {
                     let remark = self.intake.on_path(message);
                     self.say(remark);
                 }
             }
-            Input::Goal => self.on_goal(letter),
+            Input::Goal => self.on_goal(raw),
         }
     }
 
-    fn with<T: Message>(&mut self, letter: &Letter, name: &'static str, take: impl FnOnce(&mut Intake, T) -> Result<(), String>) {
-        if let Some(message) = self.reader.read::<T>(T::TYPE, letter)
+    fn with<T: Message>(
+        &mut self,
+        raw: &RawMessage,
+        name: &'static str,
+        take: impl FnOnce(&mut Intake, T) -> Result<(), String>,
+    ) {
+        if let Some(message) = self.reader.read::<T>(T::TYPE, raw)
             && let Err(problem) = take(&mut self.intake, message)
         {
             self.reader.warn(name, &problem);
         }
     }
 
-    fn on_goal(&mut self, letter: &Letter) {
-        let Some(message) = self.reader.read::<PoseStamped>(PoseStamped::TYPE, letter) else { return };
+    fn on_goal(&mut self, raw: &RawMessage) {
+        let Some(message) = self.reader.read::<PoseStamped>(PoseStamped::TYPE, raw) else { return };
         let now = self.now();
         let from = self.intake.follower.pose_at(now);
         match self.intake.on_goal(&message, from, now) {
@@ -249,32 +247,31 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// Says what to do; nothing on `drive` before there was a path: somebody else may be at the wheel.
+    /// Publishes a command; nothing on `drive` before there was a path: another node may be in control.
     fn command(&mut self, time: Duration) {
         let now = self.now();
         let step = self.intake.follower.command(now);
         self.tell_stop(&step);
         let (number, frame) = (self.number, self.intake.frame());
         let path = self.intake.follower.progress().map(Progress::path);
-        self.outlets.report.send(|| convert::report(number, now, frame, &step, path));
+        self.publishers.report.send(|| convert::report(number, now, frame, &step, path));
         if path.is_some() || self.number > 0 {
-            self.outlets.drive.send(|| convert::drive(number, now, &self.base_frame, &step));
+            self.publishers.drive.send(|| convert::drive(number, now, &self.base_frame, &step));
             self.number = self.number.wrapping_add(1).max(1);
         }
         if self.markers.is_due(time)
-            && self.outlets.markers.has_listeners()
+            && self.publishers.markers.has_listeners()
             && let Some(path) = path
         {
             for marker in convert::markers(now, frame, path, &step) {
-                self.outlets.markers.send(|| marker);
+                self.publishers.markers.send(|| marker);
             }
         }
     }
 
     /// A line for each change of mind.
     fn tell_stop(&mut self, step: &Step) {
-        let kind = |stop: &StopReason| format!("{stop:?}").split('(').next().unwrap_or_default().to_owned();
-        let stop = step.stop.as_ref().map(kind);
+        let stop = step.stop.as_ref().map(StopReason::code);
         if stop == self.stop {
             return;
         }
@@ -288,9 +285,21 @@ impl<'a> Node<'a> {
     }
 }
 
-fn subscribe(links: &Links, input: Input, sender: Sender<(Input, Option<Letter>)>) -> Result<(), NodeError> {
+fn subscribe(subscriptions: &Subscriptions, input: Input, sender: Sender<(Input, Option<RawMessage>)>) -> Result<(), NodeError> {
     // Nobody listens any more when the node is ending.
-    listen(links, input.topic(), move |letter| drop(sender.send((input, Some(letter)))))
+    subscriptions.listen(input.topic(), move |raw| drop(sender.send((input, Some(raw)))))
+}
+
+/// Takes map and path from the files that the parameters name.
+fn read_files(node: &str, knobs: &PathFollowerKnobs, intake: &mut Intake, log: &Log) -> Result<(), NodeError> {
+    if let Some(file) = &knobs.map_file {
+        let remark = intake.set_map(map_file::read(std::path::Path::new(file))?)?;
+        tell(remark, log);
+    }
+    match &knobs.path_file {
+        Some(file) => read_path(node, file, intake, log),
+        None => Ok(()),
+    }
 }
 
 /// The path of a file is older than any that comes.

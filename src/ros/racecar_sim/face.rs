@@ -31,7 +31,7 @@ pub(super) fn scan(number: u32, mut scan: LaserScan) -> LaserScan {
 /// is slow or goes backwards.
 pub(super) fn odometry(number: u32, stamp: Stamp, map_from_base: Pose2, twist: Twist2) -> Odometry {
     let mut message =
-        Odometry { header: header(number, stamp, MAP_FRAME), child_frame_id: BASE_FRAME.into(), ..Odometry::default() };
+        Odometry { header: Header::new(number, stamp, MAP_FRAME), child_frame_id: BASE_FRAME.into(), ..Odometry::default() };
     message.pose.pose = map_from_base.into();
     message.twist.twist.linear.x = twist.vx;
     message.twist.twist.angular.z = if twist.vx < LEAST_TURNING_SPEED { 0.0 } else { twist.omega };
@@ -41,7 +41,7 @@ pub(super) fn odometry(number: u32, stamp: Stamp, map_from_base: Pose2, twist: T
 /// Its tree hangs the robot from the map, with no odometry frame between, and the laser from the robot.
 pub(super) fn transforms(number: u32, stamp: Stamp, map_from_base: Pose2, base_from_laser: Pose2) -> TFMessage {
     let transform = |parent: &str, child: &str, pose: Pose2| TransformStamped {
-        header: header(number, stamp, parent),
+        header: Header::new(number, stamp, parent),
         child_frame_id: child.into(),
         transform: pose.into(),
     };
@@ -51,11 +51,7 @@ pub(super) fn transforms(number: u32, stamp: Stamp, map_from_base: Pose2, base_f
 
 /// The true pose has no stamp, and a leading slash before its frame.
 pub(super) fn ground_truth(number: u32, map_from_base: Pose2) -> PoseStamped {
-    PoseStamped { header: header(number, Stamp::default(), &format!("/{MAP_FRAME}")), pose: map_from_base.into() }
-}
-
-fn header(number: u32, stamp: Stamp, frame: &str) -> Header {
-    Header { seq: number, stamp: stamp.into(), frame_id: frame.into() }
+    PoseStamped { header: Header::new(number, Stamp::default(), &format!("/{MAP_FRAME}")), pose: map_from_base.into() }
 }
 
 #[cfg(test)]

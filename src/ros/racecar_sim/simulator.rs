@@ -20,13 +20,13 @@ use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::ros::NodeError;
-use crate::ros::inlet::{Letter, Topic, listen};
-use crate::ros::links::Links;
-use crate::ros::log::{Log, ROSOUT};
-use crate::ros::master::{MasterLink, Role};
-use crate::ros::outlet::Outlet;
+use crate::ros::log::Log;
+use crate::ros::master::{MasterLink, MasterRegistration};
+use crate::ros::output::Output;
 use crate::ros::reader::Reader;
 use crate::ros::shutdown::StopSignal;
+use crate::ros::sink::{RawMessage, Topic};
+use crate::ros::subscriptions::Subscriptions;
 use crate::simulation::car::Car;
 use crate::simulation::driver::Driver;
 use crate::simulation::lidar::{Lidar, LidarKnobs};
@@ -43,7 +43,7 @@ const MASTER_CHECKS: Duration = Duration::from_secs(1);
 /// Slower than this a car that is told a yaw rate cannot turn, m/s.
 const LEAST_TURNING_SPEED: f64 = 1e-3;
 
-/// What it hears.
+/// Its inputs.
 #[derive(Clone, Copy, Debug)]
 enum Input {
     Drive,
@@ -65,26 +65,26 @@ impl Input {
     }
 }
 
-/// What it says.
-struct Outlets {
-    scan: Outlet<LaserScan>,
-    odometry: Outlet<Odometry>,
-    truth: Outlet<PoseStamped>,
-    transforms: Outlet<TFMessage>,
+/// Its outputs.
+struct Publishers {
+    scan: Output<LaserScan>,
+    odometry: Output<Odometry>,
+    truth: Output<PoseStamped>,
+    transforms: Output<TFMessage>,
 }
 
-impl Outlets {
+impl Publishers {
     fn new(ros: &Ros) -> Result<Self, NodeError> {
         Ok(Self {
-            scan: Outlet::new(ros, "scan")?,
-            odometry: Outlet::new(ros, "odom")?,
-            truth: Outlet::new(ros, "gt_pose")?,
-            transforms: Outlet::new(ros, "/tf")?,
+            scan: Output::new(ros, "scan")?,
+            odometry: Output::new(ros, "odom")?,
+            truth: Output::new(ros, "gt_pose")?,
+            transforms: Output::new(ros, "/tf")?,
         })
     }
 
-    fn roles(&self) -> [Role; 4] {
-        [self.scan.role(), self.odometry.role(), self.truth.role(), self.transforms.role()]
+    fn registrations(&self) -> [MasterRegistration; 4] {
+        [self.scan.registration(), self.odometry.registration(), self.truth.registration(), self.transforms.registration()]
     }
 }
 
@@ -94,8 +94,8 @@ pub(super) struct Simulator<'a> {
     /// ROS's time when the clock read zero.
     zero: Stamp,
     master: MasterLink<'a>,
-    letters: Receiver<(Input, Letter)>,
-    outlets: Outlets,
+    received: Receiver<(Input, RawMessage)>,
+    publishers: Publishers,
     world: &'a dyn World,
     car: Car<'a>,
     lidar: Lidar<'a>,
@@ -108,8 +108,8 @@ pub(super) struct Simulator<'a> {
     /// Numbers of the last pose and scan, for the headers.
     numbers: (u32, u32),
     reader: Reader,
-    // Dropping it ends what it hears.
-    _links: Links<'a>,
+    // Dropping it ends the subscriptions.
+    _subscriptions: Subscriptions<'a>,
 }
 
 impl<'a> Simulator<'a> {
@@ -121,18 +121,18 @@ impl<'a> Simulator<'a> {
     ) -> Result<Self, NodeError> {
         let log = Log::new(ros)?;
         let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
-        let outlets = Outlets::new(ros)?;
-        let (sender, letters) = channel();
-        let links = Links::new(ros, &clock, &log)?;
+        let publishers = Publishers::new(ros)?;
+        let (sender, received) = channel();
+        let subscriptions = Subscriptions::new(ros, &clock, &log)?;
         for input in Input::ALL {
             let sender = sender.clone();
             // Nobody listens any more when the node is ending.
-            listen(&links, input.topic(), move |letter| drop(sender.send((input, letter))))?;
+            subscriptions.listen(input.topic(), move |raw| drop(sender.send((input, raw))))?;
         }
-        let mut roles: Vec<Role> = Input::ALL.map(|input| input.topic().role()).into();
-        roles.extend(outlets.roles());
-        roles.push(Role::Publisher { topic: ROSOUT, message_type: "rosgraph_msgs/Log".into() });
-        let master = MasterLink::new(ros, master, roles, &log)?;
+        let mut registrations: Vec<MasterRegistration> = Input::ALL.map(|input| input.topic().registration()).into();
+        registrations.extend(publishers.registrations());
+        registrations.push(MasterRegistration::ROSOUT);
+        let master = MasterLink::new(ros, master, registrations, &log)?;
         let RacecarSimKnobs { world, rate, scan_rate, wheelbase, seed, .. } = knobs;
         log.info(&format!("simulates a racecar in {world}: poses at {rate} Hz, scans at {scan_rate} Hz"));
         let (now, reader) = (clock.now(), Reader::new(&clock, &log));
@@ -142,8 +142,8 @@ impl<'a> Simulator<'a> {
             clock,
             zero: Stamp::default(),
             master,
-            letters,
-            outlets,
+            received,
+            publishers,
             world: ground.world.as_ref(),
             car: Car::new(ground.world.as_ref(), vehicle, ground.start()),
             lidar: Lidar::new(lidar, Pcg64::new((*seed).into(), 1)),
@@ -155,11 +155,11 @@ impl<'a> Simulator<'a> {
             scans: Timer::new(period(*scan_rate), now),
             numbers: (0, 0),
             reader,
-            _links: links,
+            _subscriptions: subscriptions,
         })
     }
 
-    /// Until somebody wants it to stop.
+    /// Runs until it is told to stop.
     pub(super) fn run(mut self, stop: &StopSignal) {
         let mut time = self.clock.now();
         let mut looks = Timer::new(MASTER_CHECKS, time);
@@ -170,10 +170,10 @@ impl<'a> Simulator<'a> {
             if looks.is_due(now) {
                 self.master.check();
             }
-            // However rarely it says something, the car drives on.
+            // The car drives on, however rarely something is published.
             let rest = self.rest(self.clock.now()).min(LONGEST_LAG / 2);
-            if let Ok((input, letter)) = self.letters.recv_timeout(rest) {
-                self.handle(input, &letter);
+            if let Ok((input, raw)) = self.received.recv_timeout(rest) {
+                self.handle(input, &raw);
             }
         }
     }
@@ -222,39 +222,39 @@ impl<'a> Simulator<'a> {
         if self.poses.is_due(time) {
             self.numbers.0 = self.numbers.0.wrapping_add(1);
             let number = self.numbers.0;
-            self.outlets.truth.send(|| face::ground_truth(number, pose));
-            self.outlets.odometry.send(|| face::odometry(number, stamp, pose, twist));
-            self.outlets.transforms.send(|| face::transforms(number, stamp, pose, self.base_from_laser));
+            self.publishers.truth.send(|| face::ground_truth(number, pose));
+            self.publishers.odometry.send(|| face::odometry(number, stamp, pose, twist));
+            self.publishers.transforms.send(|| face::transforms(number, stamp, pose, self.base_from_laser));
         }
         if self.scans.is_due(time) {
             self.numbers.1 = self.numbers.1.wrapping_add(1);
             let (number, world, lidar) = (self.numbers.1, self.world, &mut self.lidar);
-            self.outlets.scan.send(|| face::scan(number, lidar.scan(|_| world, |_| pose, stamp)));
+            self.publishers.scan.send(|| face::scan(number, lidar.scan(|_| world, |_| pose, stamp)));
         }
     }
 
-    fn handle(&mut self, input: Input, letter: &Letter) {
+    fn handle(&mut self, input: Input, raw: &RawMessage) {
         match input {
             Input::Drive => {
-                if let Some(message) = self.reader.read::<AckermannDriveStamped>(AckermannDriveStamped::TYPE, letter) {
+                if let Some(message) = self.reader.read::<AckermannDriveStamped>(AckermannDriveStamped::TYPE, raw) {
                     let curvature = f64::from(message.drive.steering_angle).tan() / self.wheelbase;
                     self.obey(Command { speed: message.drive.speed.into(), curvature });
                 }
             }
             Input::Velocity => {
-                if let Some(Twist { linear, angular }) = self.reader.read(Twist::TYPE, letter) {
+                if let Some(Twist { linear, angular }) = self.reader.read(Twist::TYPE, raw) {
                     let speed = linear.x;
                     let curvature = if speed.abs() < LEAST_TURNING_SPEED { 0.0 } else { angular.z / speed };
                     self.obey(Command { speed, curvature });
                 }
             }
             Input::Pose => {
-                if let Some(message) = self.reader.read::<PoseStamped>(PoseStamped::TYPE, letter) {
+                if let Some(message) = self.reader.read::<PoseStamped>(PoseStamped::TYPE, raw) {
                     self.teleport(&message.pose);
                 }
             }
             Input::InitialPose => {
-                if let Some(message) = self.reader.read::<PoseWithCovarianceStamped>(PoseWithCovarianceStamped::TYPE, letter) {
+                if let Some(message) = self.reader.read::<PoseWithCovarianceStamped>(PoseWithCovarianceStamped::TYPE, raw) {
                     self.teleport(&message.pose.pose);
                 }
             }

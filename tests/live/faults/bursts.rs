@@ -1,16 +1,20 @@
 //! More than there is time for, and clocks that cannot be trusted.
 
 use std::net::TcpStream;
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
+use anytime_scan_matcher::app::planar_pose;
+use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::own::MatchReport;
-use anytime_scan_matcher::messages::{Message, Time};
+use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
+use anytime_scan_matcher::messages::{Definition, Message, Time};
 use speedy::{Readable, Writable};
 
 use super::bench::{Bench, send};
 use crate::common::drive::{self, MOUNT, PERIOD};
-use crate::common::graph::{PATIENCE, Process};
+use crate::common::graph::{Graph, PATIENCE, Process};
 use crate::common::wire::Publisher;
 
 /// Sends `count` scans, each so long after the one before. The report on the last one.
@@ -54,6 +58,38 @@ fn of_a_burst_the_newest_is_answered_and_the_rest_is_counted() {
     interrupt(bench.node);
 }
 
+/// As when a bag is played many times as fast as it was recorded: what came one after the other comes at once, and in any order.
+#[test]
+fn scans_that_come_at_once_and_before_their_odometry_are_all_in_the_map() {
+    const SCANS: u32 = 40;
+    let start = |graph: &Graph| {
+        let mapper = graph.spawn(env!("CARGO_BIN_EXE_mapper"), &["__name:=scan_matcher", MOUNT, "_odometry/max_wait:=5"]);
+        mapper.expect_log("matches ");
+        mapper
+    };
+    let Some(mut bench) = Bench::start_with(541, start) else { return };
+    let mut wheels = Publisher::new::<Odometry>(&bench.graph, "/wheels", "/odom").link();
+    let mut time = 0.0;
+    let mut tell = |time: &mut f64| {
+        send(&mut wheels, &drive::odometry(*time));
+        *time += PERIOD;
+    };
+    tell(&mut time);
+    bench.step();
+    let scans: Vec<LaserScan> = (0..SCANS).map(|_| bench.next_scan()).collect();
+    for scan in &scans {
+        send(&mut bench.scans, scan);
+    }
+    std::thread::sleep(Duration::from_millis(100)); // the odometry is on its way
+    (0..SCANS).for_each(|_| tell(&mut time));
+    let last = scans[scans.len() - 1].header.stamp;
+    let report = bench.reports.find(|report: &MatchReport| report.header.stamp == last);
+    assert_eq!((report.header.seq, report.dropped), (SCANS + 1, 0));
+    let pose = bench.poses.find(|pose: &PoseStamped| pose.header.stamp == last);
+    let error = bench.truth().between(&planar_pose(&pose.pose).unwrap());
+    assert!(error.distance() < 0.02, "{error:?}");
+}
+
 #[test]
 fn odometry_in_floods_and_far_too_late_does_no_harm() {
     let Some(mut bench) = Bench::start(541) else { return };
@@ -87,8 +123,11 @@ struct ClockMessage {
 
 impl Message for ClockMessage {
     const TYPE: &'static str = "rosgraph_msgs/Clock";
-    const MD5: &'static str = "a9c97c1d230cfc112e270351a944ee47";
-    const DEFINITIONS: &'static [(&'static str, &'static str)] = &[("rosgraph_msgs/Clock", "time clock\n")];
+
+    fn definition() -> &'static Definition {
+        static DEFINITION: LazyLock<Definition> = LazyLock::new(|| Definition::new(ClockMessage::TYPE, "time clock\n"));
+        &DEFINITION
+    }
 }
 
 #[test]

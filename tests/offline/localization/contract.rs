@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::{Clock, VirtualClock};
 use anytime_scan_matcher::anytime::interrupt::Never;
+use anytime_scan_matcher::app::Answering as _;
 use anytime_scan_matcher::app::localizer::{Fix, Localizer};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;

@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 
 use serde::Serialize;
 
+use crate::messages::header_stamp;
 use crate::time::Stamp;
 
 use super::super::{BagMessage, Connection};
@@ -111,12 +112,6 @@ fn begins_with_header(definition: &str) -> bool {
     let fields = definition.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
     let first = fields.filter(|line| !line.is_empty() && !line.contains('=')).find_map(|line| line.split_whitespace().next());
     matches!(first, Some("Header" | "std_msgs/Header"))
-}
-
-/// The stamp of a message that begins with a header: after the 32-bit sequence number.
-fn header_stamp(data: &[u8]) -> Option<Stamp> {
-    let word = |at: usize| data.get(at..at + 4)?.try_into().ok().map(u32::from_le_bytes);
-    Some(Stamp::from_ros(word(4)?, word(8)?))
 }
 
 #[cfg(test)]

@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use rosrust::api::Master;
 
-use super::inlet::{Inlet, Topic};
 use super::log::{Log, Throttle};
+use super::sink::{Sink, Topic};
 use super::tcpros::{LinkError, connect, read_message, request_topic};
 use crate::anytime::clock::Clock;
 
@@ -21,14 +21,14 @@ const SILENCE: Duration = Duration::from_secs(5);
 
 /// A topic, and a thread for each of its publishers. A link lives as long as its connection does: a master that has forgotten the
 /// publisher does not end it.
-pub(super) struct Feed {
+pub(super) struct TopicSubscription {
     /// The topic's name in full.
     pub(super) topic: String,
     pub(super) node: String,
     pub(super) master: Arc<Master>,
     pub(super) clock: Arc<dyn Clock>,
     pub(super) log: Log,
-    pub(super) inlet: Mutex<Inlet>,
+    pub(super) sink: Mutex<Sink>,
     is_vital: bool,
     publishers: Mutex<Publishers>,
     refused: AtomicU64,
@@ -37,7 +37,7 @@ pub(super) struct Feed {
     silence: Mutex<Silence>,
 }
 
-/// How long nothing has been heard.
+/// How long there have been no messages.
 #[derive(Default)]
 struct Silence {
     /// Reading of the clock when the last message came, or other publishers.
@@ -53,7 +53,7 @@ impl Silence {
         *self = Self { since: now, has_heard: self.has_heard || has_heard, is_told: false };
     }
 
-    /// Whether it has become too long; answered once. A publisher that was heard and has gone has ended: there is nothing to be told.
+    /// Whether it has become too long; true once. A publisher that sent messages and has gone has ended: no warning.
     fn becomes_too_long(&mut self, now: Duration, is_published: bool) -> bool {
         let too_long = now.saturating_sub(self.since) >= SILENCE && (is_published || !self.has_heard);
         too_long && !std::mem::replace(&mut self.is_told, true)
@@ -72,12 +72,12 @@ struct Publishers {
     throttle: Throttle,
 }
 
-impl Feed {
-    pub(super) fn new(topic: String, node: &str, master: Arc<Master>, clock: Arc<dyn Clock>, log: Log, inlet: Inlet) -> Self {
-        let (is_vital, inlet) = (inlet.topic.is_vital, Mutex::new(inlet));
+impl TopicSubscription {
+    pub(super) fn new(topic: String, node: &str, master: Arc<Master>, clock: Arc<dyn Clock>, log: Log, sink: Sink) -> Self {
+        let (is_vital, sink) = (sink.topic.is_vital, Mutex::new(sink));
         let (publishers, refused, open) = (Mutex::default(), AtomicU64::new(0), AtomicU64::new(0));
         let silence = Mutex::new(Silence { since: clock.now(), ..Silence::default() });
-        Self { topic, node: node.into(), master, clock, log, inlet, is_vital, publishers, refused, open, silence }
+        Self { topic, node: node.into(), master, clock, log, sink, is_vital, publishers, refused, open, silence }
     }
 
     /// Messages that were too long to be read.
@@ -87,7 +87,7 @@ impl Feed {
 
     /// What is listened for.
     pub(super) fn wanted(&self) -> Topic {
-        lock(&self.inlet).topic
+        lock(&self.sink).topic
     }
 
     /// The nodes that it is connected to.
@@ -95,12 +95,12 @@ impl Feed {
         lock(&self.publishers).heard.iter().cloned().collect()
     }
 
-    /// Whether there is nobody to hear from of what the node lives on.
+    /// Whether it is a needed topic without a publisher.
     pub(super) fn is_missed(&self) -> bool {
         self.is_vital && self.open.load(Ordering::Relaxed) == 0
     }
 
-    /// Of a topic that the node lives on: its publishers, when it has just become clear that they send nothing.
+    /// Of a needed topic: its publishers, when they have sent nothing for too long.
     pub(super) fn falls_silent(&self) -> Option<Vec<String>> {
         let mut publishers: Vec<String> = lock(&self.publishers).wanted.iter().cloned().collect();
         publishers.sort_unstable();
@@ -108,7 +108,7 @@ impl Feed {
         is_silent.then_some(publishers)
     }
 
-    /// Takes the master's word for who publishes: links to those that are new. Answers whether these are others than before.
+    /// Takes the publishers that the master knows, and connects to the new ones. Returns whether they have changed.
     pub(super) fn set_publishers(self: &Arc<Self>, mut names: HashSet<String>) -> bool {
         names.remove(&self.node);
         let mut publishers = lock(&self.publishers);
@@ -119,8 +119,8 @@ impl Feed {
             lock(&self.silence).end(self.clock.now(), false);
         }
         for publisher in new {
-            let (feed, name) = (Arc::clone(self), publisher.clone());
-            match thread::Builder::new().name("link".into()).spawn(move || feed.follow(&name)) {
+            let (subscription, name) = (Arc::clone(self), publisher.clone());
+            match thread::Builder::new().name("link".into()).spawn(move || subscription.follow(&name)) {
                 Ok(_) => drop(publishers.linked.insert(publisher)),
                 Err(error) if publishers.throttle.allows("thread", self.clock.now()) => {
                     self.log.warn(&format!("topic {}: no connection to {publisher}: cannot start a thread: {error}", self.topic));
@@ -131,7 +131,7 @@ impl Feed {
         has_changed
     }
 
-    /// Links to `publisher`, again and again, for as long as it is wanted.
+    /// Connects to `publisher`, again and again, as long as it is wanted.
     fn follow(&self, publisher: &str) {
         let (mut throttle, mut told) = (Throttle::default(), None);
         loop {
@@ -149,7 +149,7 @@ impl Feed {
         }
     }
 
-    /// Hears `publisher` to the end: the number of messages, and what ended it.
+    /// Receives from `publisher` until the connection ends: the number of messages, and what ended it.
     fn link(&self, publisher: &str) -> (u64, LinkError) {
         let mut messages = 0;
         let problem = match self.receive(publisher, &mut messages) {
@@ -164,7 +164,7 @@ impl Feed {
         let uri = self.master.lookup_node(publisher).map_err(|error| LinkError::Unknown(error.to_string()))?;
         let address = request_topic(&uri, &self.node, &self.topic)?;
         let (stream, header) = connect(&address, &self.node, &self.topic)?;
-        let fits = lock(&self.inlet).accepts(&header, publisher, &self.topic, &self.log);
+        let fits = lock(&self.sink).accepts(&header, publisher, &self.topic, &self.log);
         self.open.fetch_add(1, Ordering::Relaxed);
         lock(&self.publishers).heard.insert(publisher.into());
         let problem = self.hear(stream, fits, publisher, messages);
@@ -187,12 +187,12 @@ impl Feed {
             *messages += 1;
             if fits {
                 lock(&self.silence).end(arrival, true);
-                lock(&self.inlet).message(bytes, publisher, arrival);
+                lock(&self.sink).message(bytes, publisher, arrival);
             }
         }
     }
 
-    /// Gives the thread of a publisher up that nobody wants any more.
+    /// Whether the thread of a publisher ends, as it is no longer wanted.
     fn is_done_with(&self, publisher: &str) -> bool {
         let mut publishers = lock(&self.publishers);
         let done = !publishers.wanted.contains(publisher);
@@ -203,7 +203,7 @@ impl Feed {
     }
 }
 
-/// What is locked here is whole at every moment, even if a thread should have died with the lock in its hand.
+/// What is locked here is consistent at every moment, even if a thread has panicked while it held the lock.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

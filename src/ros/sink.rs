@@ -3,16 +3,14 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
-use super::NodeError;
-use super::links::Links;
 use super::log::Log;
-use super::master::Role;
+use super::master::MasterRegistration;
 use super::tcpros::Header;
 use crate::messages::Message;
 
 /// A message as it came.
 #[derive(Debug, PartialEq)]
-pub(super) struct Letter {
+pub(super) struct RawMessage {
     /// Reading of the clock when it came.
     pub(super) arrival: Duration,
     /// Name of the node that sent it.
@@ -28,39 +26,39 @@ pub(super) struct Topic {
     pub(super) name: &'static str,
     pub(super) message_type: &'static str,
     md5: &'static str,
-    /// The node lives on it: while nobody publishes it, it is looked for more often.
+    /// The node needs it: while it has no publisher, the master is polled more often.
     pub(super) is_vital: bool,
 }
 
 impl Topic {
     pub(super) fn of<T: Message>(name: &'static str) -> Self {
-        Self { name, message_type: T::TYPE, md5: T::MD5, is_vital: false }
+        Self { name, message_type: T::TYPE, md5: &T::definition().md5, is_vital: false }
     }
 
     pub(super) fn vital<T: Message>(name: &'static str) -> Self {
         Self { is_vital: true, ..Self::of::<T>(name) }
     }
 
-    /// How it stands in the master's books.
-    pub(super) fn role(self) -> Role {
-        Role::Subscriber { topic: self.name, message_type: self.message_type.into() }
+    /// How it is registered with the master.
+    pub(super) fn registration(self) -> MasterRegistration {
+        MasterRegistration::Subscriber { topic: self.name, message_type: self.message_type }
     }
 }
 
-/// Subscribes to `topic`, whoever publishes it, except the node itself; what comes goes to `receive`, which must not be slow.
-pub(super) fn listen(links: &Links, topic: Topic, receive: impl FnMut(Letter) + Send + 'static) -> Result<(), NodeError> {
-    links.add(Inlet { topic, refused: HashSet::new(), receive: Box::new(receive) })
-}
-
 /// Where the messages of a topic go.
-pub(super) struct Inlet {
+pub(super) struct Sink {
     pub(super) topic: Topic,
     /// Nodes whose messages are of another type.
     refused: HashSet<String>,
-    receive: Box<dyn FnMut(Letter) + Send>,
+    receive: Box<dyn FnMut(RawMessage) + Send>,
 }
 
-impl Inlet {
+impl Sink {
+    /// What comes goes to `receive`, which must not be slow.
+    pub(super) fn new(topic: Topic, receive: impl FnMut(RawMessage) + Send + 'static) -> Self {
+        Self { topic, refused: HashSet::new(), receive: Box::new(receive) }
+    }
+
     /// Whether what comes over the connection of this header is of the right type. If it is not, that is said once.
     pub(super) fn accepts(&mut self, header: &Header, sender: &str, topic: &str, log: &Log) -> bool {
         let field = |name: &str| header.get(name).map_or("", String::as_str);
@@ -79,6 +77,6 @@ impl Inlet {
     }
 
     pub(super) fn message(&mut self, bytes: Vec<u8>, sender: &str, arrival: Duration) {
-        (self.receive)(Letter { arrival, sender: sender.into(), bytes });
+        (self.receive)(RawMessage { arrival, sender: sender.into(), bytes });
     }
 }

@@ -1,4 +1,4 @@
-//! What the node hears.
+//! Inputs of the node.
 
 use crate::config::Config;
 use crate::messages::geometry_msgs::{PointStamped, PoseWithCovarianceStamped};
@@ -7,7 +7,7 @@ use crate::messages::own::Contract;
 use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::std_msgs::Empty;
 use crate::messages::tf2_msgs::TFMessage;
-use crate::ros::inlet::Topic;
+use crate::ros::sink::Topic;
 use crate::ros::worker::NodeInput;
 
 /// A topic the node listens to.

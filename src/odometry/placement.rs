@@ -1,0 +1,14 @@
+//! Where a scan was taken.
+
+use crate::geometry::{Pose2, PoseCovariance};
+
+/// Where a scan was taken.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Placement {
+    /// Pose of the laser.
+    pub(super) map_from_laser: Pose2,
+    /// Covariance of that pose, in the map frame.
+    pub(super) covariance: PoseCovariance,
+    /// What the last step of the way there adds to it.
+    pub(super) step_covariance: PoseCovariance,
+}

@@ -1,0 +1,79 @@
+//! Scans that are answered before their odometry has come.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anytime_scan_matcher::anytime::clock::VirtualClock;
+use anytime_scan_matcher::app::{Answering as _, App, Estimate};
+use anytime_scan_matcher::config::Config;
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::mapping::Passage;
+use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::std_msgs::Header;
+use anytime_scan_matcher::time::Stamp;
+
+use crate::common::Laser;
+
+struct Robot {
+    app: App,
+    laser: Laser,
+}
+
+/// More than a match is let correct, less than it can: it is refused for certain.
+const TURN: f64 = 0.3;
+
+impl Robot {
+    fn new() -> Self {
+        let mut config = Config::default();
+        config.odometry.max_correction_angle = 0.5 * TURN;
+        let app = App::new(&config, Arc::new(VirtualClock::new(Duration::from_micros(10)))).unwrap();
+        Self { app, laser: Laser::with_field_of_view(180.0, 181) }
+    }
+
+    fn odometry(&mut self, seconds: f64, pose: Pose2) {
+        let header = Header { stamp: Stamp::from_seconds(seconds).into(), frame_id: "odom".into(), ..Header::default() };
+        let mut message = Odometry { header, child_frame_id: "base_link".into(), ..Odometry::default() };
+        message.pose.pose = pose.into();
+        self.app.on_odometry(&message).unwrap();
+    }
+
+    fn scan(&mut self, seconds: f64, pose: Pose2) -> Estimate {
+        self.app.on_scan(&self.laser.message(Stamp::from_seconds(seconds), pose), Duration::ZERO)
+    }
+}
+
+/// Long steps, as when scans are lost: odometry knows of them, and tells it a little later than the scan comes.
+#[test]
+fn a_scan_that_fits_nothing_until_its_odometry_is_there_leads_nowhere() {
+    let turned = |i: u32| Pose2::new(0.0, 0.0, TURN * f64::from(i));
+    let mut robot = Robot::new();
+    for i in 0..5 {
+        robot.odometry(0.1 * f64::from(i), turned(0));
+        robot.scan(0.1 * f64::from(i), turned(0));
+    }
+    let early = robot.scan(1.0, turned(1));
+    assert!(!early.registration.outcome.is_ok() && early.passage().is_none(), "{:?}", early.registration);
+    robot.odometry(1.0, turned(1));
+    for i in 1..4 {
+        robot.odometry(1.0 + 0.1 * f64::from(i), turned(1));
+        let answer = robot.scan(1.0 + 0.1 * f64::from(i), turned(1));
+        let error = turned(1).between(&answer.registration.odom_from_base);
+        assert!(error.distance() < 0.1 && error.theta.abs() < 0.05, "{i}: {error:?}");
+        assert_ne!(answer.passage(), Some(Passage::Start));
+    }
+}
+
+/// Where odometry has died, or nothing fits though it has come, the robot goes on from where it is thought to be.
+#[test]
+fn only_one_scan_is_passed_over() {
+    let mut robot = Robot::new();
+    let place = Pose2::IDENTITY;
+    for i in 0..5 {
+        robot.odometry(0.1 * f64::from(i), place);
+        robot.scan(0.1 * f64::from(i), place);
+    }
+    let elsewhere = Pose2::new(0.0, 0.0, TURN);
+    let passages = [1.0, 1.1].map(|seconds| robot.scan(seconds, elsewhere).passage());
+    assert_eq!(passages, [None, Some(Passage::Lost)]);
+    assert_eq!(robot.scan(1.2, elsewhere).passage(), Some(Passage::Known), "it has a new keyframe");
+}
