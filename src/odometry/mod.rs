@@ -452,8 +452,11 @@ impl LaserOdometry {
         let prior = attempt.prior(keyframe).covariance.try_inverse().unwrap_or_default();
         let known = uncertainty.and_then(|known| (known.information? + prior).try_inverse());
         let match_covariance = match_covariance.unwrap_or(prediction_covariance);
+        // The noise of rays averages out over the scans; what they have in common stays, and adds up from keyframe to keyframe.
+        let alike = uncertainty::rays_alike(scan, report.rays_used);
+        let stays = uncertainty.and_then(|known| (known.information? / alike + prior).try_inverse()).unwrap_or(match_covariance);
         let laser_covariance =
-            uncertainty::compound(&keyframe.map_from_laser, &keyframe.covariance, &keyframe_from_laser, &match_covariance);
+            uncertainty::compound(&keyframe.map_from_laser, &keyframe.covariance, &keyframe_from_laser, &stays);
         let laser_from_base = attempt.base_from_laser.inverse();
         let answer = Answer {
             outcome: Outcome::Matched,

@@ -3,6 +3,10 @@
 use nalgebra::Matrix3;
 
 use crate::geometry::{Point, Pose2, PoseCovariance};
+use crate::scan::Scan;
+
+/// Neighbouring rays within this angle err alike, rad.
+const ERRING_ALIKE: f64 = 0.08;
 
 /// Covariance of `a * b` in the frame that `a` is given in, for independent errors of the two (Smith, Self and Cheeseman 1990).
 /// `a_covariance` is in that frame too, `b_covariance` in the frame that `b` is given in.
@@ -47,7 +51,32 @@ pub fn of_wheels(motion: &Pose2) -> PoseCovariance {
     diagonal(0.01 + 0.1 * way + 0.02 * turn, 0.01 + 0.15 * turn + 0.03 * way)
 }
 
+/// How many of the rays of a scan that have taken part in a match are as good as one in saying where something stands: they have met the
+/// same thing, which may be uneven or have moved since (the design effect of Kish 1965).
+pub(super) fn rays_alike(scan: &Scan, rays: u32) -> f64 {
+    let angle = scan.beams().angle_increment().abs() * scan.valid_len() as f64;
+    (ERRING_ALIKE * f64::from(rays) / angle).max(1.0)
+}
+
 /// Covariance of independent errors: standard deviations in x and y, m, and of the heading, rad.
 pub fn diagonal(position: f64, heading: f64) -> PoseCovariance {
     PoseCovariance::from_diagonal(&[position * position, position * position, heading * heading].into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scan::BeamGeometry;
+    use crate::time::Stamp;
+
+    #[test]
+    fn more_rays_into_the_same_angle_know_no_more() {
+        for (beams, expected) in [(271_u32, 4.6), (1081, 18.4), (31, 1.0)] {
+            let count = beams as usize;
+            let geometry = BeamGeometry::new(-2.356, 4.712 / f64::from(beams), count);
+            let scan = Scan::new(Stamp::default(), geometry.into(), (0.0, 10.0), vec![1.0; count]).unwrap();
+            assert!((rays_alike(&scan, beams) - expected).abs() < 0.1, "{beams}: {}", rays_alike(&scan, beams));
+            assert!((rays_alike(&scan, beams / 4) - (expected / 4.0).max(1.0)).abs() < 0.1, "a quarter of them take part");
+        }
+    }
 }

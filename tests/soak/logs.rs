@@ -95,3 +95,23 @@ fn long_corridors_are_driven_by_scans_alone() {
     eprintln!("racecar-levine, scans alone: ATE {} m", summary["ate_rmse_m"]);
     assert!(summary["ate_rmse_m"].as_f64().unwrap() < 0.0182, "{summary}");
 }
+
+/// Drives of a minute on maps, and what the poses in the odom frame err by against what they claim; a fifth worse than docs/figures.md
+/// states at most.
+#[test]
+fn covariances_hold_on_maps_as_far_as_stated() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (bag, truth) = (path("drive.bag"), path("drive.tum"));
+    for (map, wrong, beyond) in
+        [("berlin", 119, 0.13), ("columbia", 0, 0.01), ("levine", 0, 0.01), ("porto", 200, 0.30), ("skirk", 0, 0.01)]
+    {
+        let Some(world) = shared(&format!("data/maps/{map}.yaml")) else { return };
+        let drive = ["--duration", "60", "--speed", "5", "--seed", "21", "--json"];
+        json(&[&["simulate", "--world", world.to_str().unwrap(), "--out", &bag, "--truth", &truth], &drive[..]].concat());
+        let found = &json(&["replay", &bag, "--truth", &truth, "--json"])["consistency"];
+        let share_beyond = |name: &str| 1.0 - found[name].as_f64().unwrap();
+        assert!(found["confidently_wrong"].as_u64().unwrap() <= wrong, "{map}: {found}");
+        assert!(share_beyond("positions_within") < beyond && share_beyond("headings_within") < beyond, "{map}: {found}");
+    }
+}
