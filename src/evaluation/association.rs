@@ -37,15 +37,19 @@ pub struct AssociationError {
     pub truth: (Stamp, Stamp),
 }
 
+/// The true pose at a stamp, interpolated, where there is one within `max_dt` seconds.
+pub fn true_pose(truth: &Trajectory, stamp: Stamp, max_dt: f64) -> Option<Pose2> {
+    let is_near = truth.nearest(stamp).stamp.seconds_since(stamp).abs() <= max_dt;
+    is_near.then(|| truth.interpolated(stamp)).flatten()
+}
+
 /// Every pose of the estimate that has a pose of the truth within `max_dt` seconds, with the truth interpolated to its own stamp:
 /// at 3 m/s a truth of 50 Hz taken as it stands would be off by up to 3 cm. At least two, or an error.
 pub fn associate(estimate: &Trajectory, truth: &Trajectory, max_dt: f64) -> Result<Vec<MatchedPose>, AssociationError> {
-    let near = |stamp: Stamp| truth.nearest(stamp).stamp.seconds_since(stamp).abs() <= max_dt;
     let matched: Vec<_> = estimate
         .poses()
         .iter()
-        .filter(|p| near(p.stamp))
-        .filter_map(|p| truth.interpolated(p.stamp).map(|truth| MatchedPose { stamp: p.stamp, estimate: p.pose, truth }))
+        .filter_map(|p| true_pose(truth, p.stamp, max_dt).map(|truth| MatchedPose { stamp: p.stamp, estimate: p.pose, truth }))
         .collect();
     if matched.len() >= 2 {
         return Ok(matched);

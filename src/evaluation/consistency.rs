@@ -6,7 +6,7 @@ use std::fmt;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use super::association::{AssociationError, associate};
+use super::association::true_pose;
 use super::trajectory::{StampedPose, Trajectory};
 use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 
@@ -56,19 +56,16 @@ impl Consistency {
         sums.consistency()
     }
 
-    /// Compares claims with the truth; `Ok(None)` where no claim has a covariance.
-    pub fn new(claims: &[Claim], truth: &Trajectory, max_dt: f64) -> Result<Option<Self>, AssociationError> {
-        let Ok(estimate) = Trajectory::new(claims.iter().map(|claim| claim.pose).collect()) else { return Ok(None) };
-        let matched = associate(&estimate, truth, max_dt)?;
-        let start = matched[0];
+    /// Compares claims, in any order, with the truth within `max_dt` seconds; `None` where no claim has a covariance and a true pose.
+    pub fn new(claims: &[Claim], truth: &Trajectory, max_dt: f64) -> Option<Self> {
         let mut sums = Sums::default();
-        let mut claims = claims.iter();
-        for pose in &matched {
-            let Some(claim) = claims.find(|claim| claim.pose.stamp == pose.stamp) else { break };
-            let truth = start.estimate * start.truth.between(&pose.truth);
-            sums.add(&claim.pose.pose, &claim.covariance, &truth, claim.is_ok);
+        let mut claims = claims.iter().filter_map(|claim| Some((claim, true_pose(truth, claim.pose.stamp, max_dt)?)));
+        let (start, true_start) = claims.next()?;
+        for (Claim { pose, covariance, is_ok }, truth) in claims {
+            let truth = start.pose.pose * true_start.between(&truth);
+            sums.add(&pose.pose, covariance, &truth, *is_ok);
         }
-        Ok(sums.consistency())
+        sums.consistency()
     }
 }
 
@@ -147,7 +144,7 @@ mod tests {
             pose: Pose2::new(5.0, 5.0 + seconds, std::f64::consts::FRAC_PI_2),
         };
         let truth = Trajectory::new((0..10).map(|i| at(f64::from(i))).collect()).unwrap();
-        Consistency::new(claims, &truth, 0.1).unwrap()
+        Consistency::new(claims, &truth, 0.1)
     }
 
     #[test]
@@ -155,6 +152,12 @@ mod tests {
         let found = compared(&[claim(0.0, 0.0, 0.0), claim(1.0, 1.1, 0.1), claim(2.0, 2.0, 0.0)]).unwrap();
         assert_eq!((found.poses, found.confidently_wrong), (2, 0), "the start says nothing of itself");
         assert!((found.nees - 1.0).abs() < 1e-9 && found.positions_within > 0.99 && found.headings_within > 0.99, "{found:?}");
+    }
+
+    #[test]
+    fn scans_out_of_order_count_too() {
+        let claims = [0.0, 1.0, 3.0, 2.0, 4.0].map(|seconds| claim(seconds, seconds, 0.0));
+        assert_eq!(compared(&claims).unwrap().poses, 4);
     }
 
     #[test]

@@ -450,11 +450,11 @@ impl LaserOdometry {
         // Where the scans leave a direction open, what is known of it is the prediction.
         let prediction_covariance = attempt.prediction.covariance;
         let prior = attempt.prior(keyframe).covariance.try_inverse().unwrap_or_default();
-        let known = uncertainty.and_then(|known| (known.information? + prior).try_inverse());
+        // `alike`: so many rays are taken for one.
+        let known = |alike: f64| uncertainty.and_then(|known| (known.information? / alike + prior).try_inverse());
         let match_covariance = match_covariance.unwrap_or(prediction_covariance);
         // The noise of rays averages out over the scans; what they have in common stays, and adds up from keyframe to keyframe.
-        let alike = uncertainty::rays_alike(scan, report.rays_used);
-        let stays = uncertainty.and_then(|known| (known.information? / alike + prior).try_inverse()).unwrap_or(match_covariance);
+        let stays = known(uncertainty::rays_alike(scan, report.rays_used)).unwrap_or(match_covariance);
         let laser_covariance =
             uncertainty::compound(&keyframe.map_from_laser, &keyframe.covariance, &keyframe_from_laser, &stays);
         let laser_from_base = attempt.base_from_laser.inverse();
@@ -464,7 +464,7 @@ impl LaserOdometry {
             map_from_base: map_from_laser * laser_from_base,
             covariance: uncertainty::compound(&map_from_laser, &laser_covariance, &laser_from_base, &PoseCovariance::zeros()),
             step_covariance: uncertainty::turned(&match_covariance, keyframe.map_from_laser.theta),
-            matched_covariance: known.map(|known| {
+            matched_covariance: known(1.0).map(|known| {
                 let of_base = uncertainty::compound(&keyframe_from_laser, &known, &laser_from_base, &PoseCovariance::zeros());
                 uncertainty::turned(&of_base, -base_heading)
             }),

@@ -49,10 +49,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let trajectory = Trajectory::new(summary.poses().to_vec())?;
     let report = truth.as_ref().map(|truth| Report::new(&trajectory, Some(truth), None, Comparison::default())).transpose()?;
     let max_dt = Comparison::default().max_dt;
-    let consistency = match &truth {
-        Some(truth) => Consistency::new(summary.claims(), truth, max_dt)?,
-        None => None,
-    };
+    let consistency = truth.as_ref().and_then(|truth| Consistency::new(summary.claims(), truth, max_dt));
     if let Some(path) = &arguments.plot {
         trajectory_plot(path, &trajectory, truth.as_ref(), recorder.points(), max_dt)?;
     }
