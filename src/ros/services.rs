@@ -11,7 +11,7 @@ use rosrust_msg::nav_msgs::{GetMap, GetMapRes};
 use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
-use super::mailbox::{Event, Mailbox};
+use super::mailbox::{Event, Mailbox, Request};
 use super::master::MasterRegistration;
 use crate::messages::{encode, nav_msgs};
 
@@ -47,24 +47,15 @@ impl Service {
     }
 }
 
-/// A service that acts and answers.
-pub(super) fn trigger(
-    ros: &Ros,
-    name: &'static str,
-    act: impl Fn() -> Reply + Send + Sync + 'static,
-) -> Result<Service, NodeError> {
-    Service::offer(ros, name, act)
-}
-
-/// A service that puts [`Event::Reset`] into the mailbox and answers in these words.
-pub(super) fn reset<I: Send + 'static>(
+/// A service that puts [`Request::Reset`] into the mailbox and answers in these words.
+pub(super) fn reset(
     ros: &Ros,
     (name, answer): (&'static str, &'static str),
-    mailbox: &Arc<Mailbox<I>>,
+    mailbox: &Arc<Mailbox>,
 ) -> Result<Service, NodeError> {
     let mailbox = Arc::clone(mailbox);
     Service::offer(ros, name, move || {
-        mailbox.put_event(Event::Reset);
+        mailbox.put_event(Event::Request(Request::Reset));
         Ok(answer.into())
     })
 }
@@ -108,17 +99,14 @@ pub(super) fn ordered<O: Send + 'static>(
     })
 }
 
-/// The service that puts [`Event::SaveProfile`] into the mailbox, and by what it is to be answered.
-pub(super) fn save_profile<I: Send + 'static>(
-    ros: &Ros,
-    mailbox: &Arc<Mailbox<I>>,
-) -> Result<(Service, Sender<Reply>), NodeError> {
+/// The service that puts [`Request::SaveProfile`] into the mailbox, and by what it is to be answered.
+pub(super) fn save_profile(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<(Service, Sender<Reply>), NodeError> {
     let (mailbox, (sender, replies)) = (Arc::clone(mailbox), channel());
     let replies = Mutex::new(replies);
     let save = move || {
         let replies = replies.lock().unwrap_or_else(PoisonError::into_inner);
         while replies.try_recv().is_ok() {} // late replies to earlier calls
-        mailbox.put_event(Event::SaveProfile);
+        mailbox.put_event(Event::Request(Request::SaveProfile));
         replies.recv_timeout(TIMEOUT).unwrap_or_else(|_| Err("the matching is too busy: try again".into()))
     };
     Ok((Service::offer(ros, "~save_profile", save)?, sender))

@@ -25,12 +25,10 @@ pub(super) use self::feed::MapFeed;
 use self::feed::Order;
 use self::maker::MapMaker;
 use self::outlets::Outlets;
-use super::diagnostics::Monitor;
-use super::log::Log;
+use super::context::Shared;
 use super::master::MasterRegistration;
 use super::services::{self, Service};
-use super::{NodeError, params, supervisor};
-use crate::anytime::clock::Clock;
+use super::{NodeError, node, params};
 use crate::config::Config;
 use crate::geometry::Pose2;
 
@@ -68,13 +66,7 @@ pub(super) struct Mapping {
 }
 
 impl Mapping {
-    pub(super) fn start(
-        ros: &Ros,
-        config: &Config,
-        clock: &Arc<dyn Clock>,
-        monitor: &Arc<Monitor>,
-        log: &Log,
-    ) -> Result<Self, NodeError> {
+    pub(super) fn start(ros: &Ros, config: &Config, shared: &Shared) -> Result<Self, NodeError> {
         let (orders, received) = sync_channel(CAPACITY);
         let place = Arc::new(Mutex::new((0, Pose2::IDENTITY)));
         let outlets = Outlets::new(ros, &config.frames.map_frame)?;
@@ -83,9 +75,9 @@ impl Mapping {
             services::map(ros, "dynamic_map", outlets.last_map())?,
             services::ordered(ros, "~save_map", orders.clone(), Order::Save)?,
         ];
-        let feed = MapFeed::new(orders.clone(), Arc::clone(&place), Arc::clone(monitor));
-        let (config, clock, log) = (config.clone(), Arc::clone(clock), log.clone());
-        let thread = supervisor::spawn("mapping", move || MapMaker::new(config, clock, log, outlets, place).run(&received))?;
+        let feed = MapFeed::new(orders.clone(), Arc::clone(&place), Arc::clone(&shared.monitor));
+        let (config, clock, log) = (config.clone(), Arc::clone(&shared.clock), shared.log.clone());
+        let thread = node::spawn("mapping", move || MapMaker::new(config, clock, log, outlets, place).run(&received))?;
         Ok(Self { orders, thread, services, registrations, feed: Some(feed) })
     }
 

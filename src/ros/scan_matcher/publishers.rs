@@ -5,19 +5,19 @@ use std::time::Duration;
 
 use rosrust::api::Ros;
 
-use super::NodeError;
 use super::compat::{Face, PoseOutputs};
 use super::convert::Outgoing;
-use super::master::MasterRegistration;
-use super::output::Output;
 use super::path::PathHistory;
-use super::transform_output::TransformOutput;
 use crate::messages::geometry_msgs::PoseStamped;
 use crate::messages::nav_msgs::{Odometry, Path};
 use crate::messages::own::MatchReport;
 use crate::messages::std_msgs::Int32;
 use crate::messages::visualization_msgs::Marker;
 use crate::odometry::{MatchedPoints, OdometryCounters, Outcome};
+use crate::ros::NodeError;
+use crate::ros::master::MasterRegistration;
+use crate::ros::output::Output;
+use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
 
 /// Every topic that an answer leaves by.

@@ -6,9 +6,9 @@ use super::parameters::PoseTopics;
 use crate::messages::Message;
 use crate::messages::geometry_msgs::{Pose2D, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped};
 use crate::ros::NodeError;
-use crate::ros::convert::Outgoing;
 use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
+use crate::ros::scan_matcher::convert::Outgoing;
 
 /// Those that are wanted.
 pub(in crate::ros) struct PoseOutputs {
