@@ -17,6 +17,9 @@ mod surface;
 mod symmetric_eigen;
 mod view;
 
+#[cfg(test)]
+mod tests;
+
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 

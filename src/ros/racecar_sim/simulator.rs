@@ -115,20 +115,26 @@ pub(super) fn build<'a>(
 }
 
 impl Simulator<'_> {
-    /// The topics it reads.
+    /// The topics it reads. A message acts from now on: what was before it is simulated first.
     fn inputs() -> Vec<Input<Self>> {
         vec![
-            Input::of("drive", |simulator: &mut Self, message: &AckermannDriveStamped| {
+            Input::with_context("drive", |simulator: &mut Self, message: &AckermannDriveStamped, _, context| {
+                simulator.catch_up(context.clock.now());
                 let curvature = f64::from(message.drive.steering_angle).tan() / simulator.wheelbase;
                 simulator.obey(Command { speed: message.drive.speed.into(), curvature })
             }),
-            Input::of("cmd_vel", |simulator: &mut Self, Twist { linear, angular }: &Twist| {
+            Input::with_context("cmd_vel", |simulator: &mut Self, Twist { linear, angular }: &Twist, _, context| {
+                simulator.catch_up(context.clock.now());
                 let speed = linear.x;
                 let curvature = if speed.abs() < LEAST_TURNING_SPEED { 0.0 } else { angular.z / speed };
                 simulator.obey(Command { speed, curvature })
             }),
-            Input::of("pose", |simulator: &mut Self, message: &PoseStamped| simulator.teleport(&message.pose)),
-            Input::of("initialpose", |simulator: &mut Self, message: &PoseWithCovarianceStamped| {
+            Input::with_context("pose", |simulator: &mut Self, message: &PoseStamped, _, context| {
+                simulator.catch_up(context.clock.now());
+                simulator.teleport(&message.pose)
+            }),
+            Input::with_context("initialpose", |simulator: &mut Self, message: &PoseWithCovarianceStamped, _, context| {
+                simulator.catch_up(context.clock.now());
                 simulator.teleport(&message.pose.pose)
             }),
         ]
