@@ -13,7 +13,7 @@ use super::input::{Handling, Input};
 use super::interrupts::Interrupts;
 use super::log::Log;
 use super::mailbox::{Event, Mailbox};
-use super::master::{MasterLink, MasterRegistration, connect, wait_for_master};
+use super::master::{MasterLink, MasterRegistration, connect, note, wait_for_master};
 use super::node_api;
 use super::numbering::Numbering;
 use super::services::Service;
@@ -52,8 +52,6 @@ pub(super) struct NodeParts<'a> {
     master: &'a Master,
     pub(super) shared: Shared,
     pub(super) services: Vec<Service>,
-    /// How the topics that it publishes are registered with the master.
-    pub(super) registrations: Vec<MasterRegistration>,
     diagnostics: Option<Diagnostics>,
 }
 
@@ -67,7 +65,7 @@ impl<'a> NodeParts<'a> {
             monitor: Arc::new(Monitor::default()),
             log: Log::new(ros)?,
         };
-        Ok(Self { ros, master, shared, services: Vec::new(), registrations: Vec::new(), diagnostics: None })
+        Ok(Self { ros, master, shared, services: Vec::new(), diagnostics: None })
     }
 
     /// Reports on `/diagnostics` how the node does its task.
@@ -84,21 +82,27 @@ impl<'a> NodeParts<'a> {
         inputs: Vec<Input<A>>,
         timer: Option<Timer>,
     ) -> Result<Node<'a>, NodeError> {
-        let Self { ros, master, shared, services, mut registrations, diagnostics } = self;
+        let Self { ros, master, shared, services, diagnostics } = self;
         let subscriptions = Subscriptions::new(ros, &shared.clock, &shared.log)?;
+        let mut registrations = Vec::new();
         for (index, input) in inputs.iter().enumerate() {
             subscribe(&subscriptions, index, input, &shared)?;
-            registrations.push(input.topic.registration());
+            registrations.push(note(ros, input.topic.registration())?);
         }
         let of_worker = shared.clone();
         let work = Box::new(move || Worker::new(algorithm, inputs, Context::new(of_worker)).run(timer));
-        registrations.extend(diagnostics.as_ref().map(Diagnostics::registration));
-        registrations.push(MasterRegistration::ROSOUT);
-        for service in &services {
-            registrations.push(service.registration(ros)?);
-        }
-        let master = MasterLink::new(ros, master, registrations, &shared.log)?;
-        Ok(Node { ros, master, shared, diagnostics, subscriptions, _services: services, thread: name, work: Some(work) })
+        let master = MasterLink::new(ros, master, &shared.log)?;
+        Ok(Node {
+            ros,
+            master,
+            shared,
+            diagnostics,
+            subscriptions,
+            _services: services,
+            _registrations: registrations,
+            thread: name,
+            work: Some(work),
+        })
     }
 }
 
@@ -125,6 +129,7 @@ pub(super) struct Node<'a> {
     subscriptions: Subscriptions<'a>,
     // Dropping these ends them.
     _services: Vec<Service>,
+    _registrations: Vec<Arc<MasterRegistration>>,
     thread: &'static str,
     /// What the thread does; ends when the mailbox is closed.
     work: Option<Work<'a>>,
@@ -135,7 +140,7 @@ type Work<'a> = Box<dyn FnOnce() + Send + 'a>;
 impl Node<'_> {
     /// Runs until it is told to stop. Once a second it looks after the master, does what else there is to `care` for while that
     /// answers, and reports how it is doing.
-    pub(super) fn run(mut self, stop: &StopSignal, care: impl FnMut(&mut MasterLink)) -> Result<(), NodeError> {
+    pub(super) fn run(mut self, stop: &StopSignal, care: impl FnMut()) -> Result<(), NodeError> {
         let Some(work) = self.work.take() else { return Ok(()) };
         thread::scope(|scope| {
             let worker = thread::Builder::new().name(self.thread.into()).spawn_scoped(scope, work).map_err(no_thread)?;
@@ -146,7 +151,7 @@ impl Node<'_> {
         })
     }
 
-    fn look_after(&mut self, stop: &StopSignal, mut care: impl FnMut(&mut MasterLink)) {
+    fn look_after(&mut self, stop: &StopSignal, mut care: impl FnMut()) {
         let mut last = self.shared.clock.now();
         while !stop.wait(TICK) && self.ros.is_ok() {
             let elapsed = self.shared.clock.now().saturating_sub(last);
@@ -154,7 +159,7 @@ impl Node<'_> {
                 last += elapsed;
                 self.master.check();
                 if self.master.is_present() {
-                    care(&mut self.master);
+                    care();
                 }
                 self.diagnose(elapsed);
             }

@@ -22,7 +22,6 @@ use crate::messages::std_msgs::{Header, Int32};
 use crate::ros::NodeError;
 use crate::ros::context::Context;
 use crate::ros::input::Input;
-use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
 use crate::ros::worker::Algorithm;
 
@@ -67,11 +66,6 @@ impl Controller {
             })
             .vital(),
         ]
-    }
-
-    /// How the topic it publishes is registered with the master.
-    pub(super) fn registration(&self) -> MasterRegistration {
-        self.contracts.registration()
     }
 
     fn on_odometry(&mut self, message: &Odometry) -> Result<(), &'static str> {

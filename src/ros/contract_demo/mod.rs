@@ -62,14 +62,13 @@ pub fn run() -> Result<(), NodeError> {
 fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
     let knobs: ContractDemoKnobs = params::read_group(master, ros.name())?;
     let policy = asking::policy(&knobs).map_err(|(parameter, problem)| params::refused(ros.name(), parameter, problem))?;
-    let mut parts = NodeParts::new(ros, master)?;
+    let parts = NodeParts::new(ros, master)?;
     let Shared { clock, log, .. } = parts.shared.clone();
     let in_words = controller::in_words(&policy);
     let controller = Controller::new(ros, &clock, policy, &knobs)?;
-    parts.registrations = vec![controller.registration()];
     let period = Duration::from_secs_f64(knobs.log_period.0);
     let timer = Timer::new(period, clock.now() + period);
     let node = parts.build("controlling", controller, Controller::inputs(), Some(timer))?;
     log.info(&in_words);
-    node.run(stop, |_| ())
+    node.run(stop, || ())
 }

@@ -26,7 +26,6 @@ use self::feed::Order;
 use self::maker::MapMaker;
 use self::outlets::Outlets;
 use super::context::Shared;
-use super::master::MasterRegistration;
 use super::services::{self, Service};
 use super::{NodeError, node, params};
 use crate::config::Config;
@@ -59,8 +58,6 @@ pub(super) struct Mapping {
     orders: SyncSender<Order>,
     thread: JoinHandle<()>,
     pub(super) services: Vec<Service>,
-    /// How its topics are registered with the master.
-    pub(super) registrations: Vec<MasterRegistration>,
     /// What the matcher hands its answers to.
     pub(super) feed: Option<MapFeed>,
 }
@@ -70,7 +67,6 @@ impl Mapping {
         let (orders, received) = sync_channel(CAPACITY);
         let place = Arc::new(Mutex::new((0, Pose2::IDENTITY)));
         let outlets = Outlets::new(ros, &config.frames.map_frame)?;
-        let registrations = outlets.registrations();
         let services = vec![
             services::map(ros, "dynamic_map", outlets.last_map())?,
             services::ordered(ros, "~save_map", orders.clone(), Order::Save)?,
@@ -78,7 +74,7 @@ impl Mapping {
         let feed = MapFeed::new(orders.clone(), Arc::clone(&place), Arc::clone(&shared.monitor));
         let (config, clock, log) = (config.clone(), Arc::clone(&shared.clock), shared.log.clone());
         let thread = node::spawn("mapping", move || MapMaker::new(config, clock, log, outlets, place).run(&received))?;
-        Ok(Self { orders, thread, services, registrations, feed: Some(feed) })
+        Ok(Self { orders, thread, services, feed: Some(feed) })
     }
 
     /// Ends the mapping once the matcher has ended, and waits until the map is saved, if it is to be.

@@ -11,7 +11,6 @@ use crate::mapping::Mapper;
 use crate::messages::nav_msgs;
 use crate::messages::visualization_msgs::Marker;
 use crate::ros::NodeError;
-use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
 use crate::ros::services::LastMap;
 use crate::time::Stamp;
@@ -35,11 +34,6 @@ impl Outlets {
             frame: map_frame.into(),
             last: Arc::new(Mutex::new(None)),
         })
-    }
-
-    /// How the topics are registered with the master.
-    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
-        vec![self.map.registration(), self.metadata.registration(), self.graph.registration()]
     }
 
     /// The map that was published last.

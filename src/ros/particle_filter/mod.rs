@@ -46,7 +46,7 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError>
     let log = parts.shared.log.clone();
     let node = build(ros, parts, &config)?;
     announce(ros, &log, &config)?;
-    node.run(stop, |_| ())
+    node.run(stop, || ())
 }
 
 fn build<'a>(ros: &Ros, mut parts: NodeParts<'a>, config: &Config) -> Result<Node<'a>, NodeError> {
@@ -56,7 +56,6 @@ fn build<'a>(ros: &Ros, mut parts: NodeParts<'a>, config: &Config) -> Result<Nod
     let (map_server, static_map) = map_server.unzip();
     let publishers = Publishers::new(ros, &config.frames, map_server)?;
     parts.diagnose(TASK)?;
-    parts.registrations = publishers.registrations();
     parts.services = [services::reset(ros, GLOBAL, &parts.shared.mailbox)?].into_iter().chain(static_map).collect();
     let timer = config.localization.timer(parts.shared.clock.now());
     let node = FilterNode::new(config.clone(), publishers, map);

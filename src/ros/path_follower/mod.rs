@@ -70,5 +70,5 @@ pub fn run() -> Result<(), NodeError> {
 
 fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
     let knobs: AllKnobs = params::read_group(master, ros.name())?;
-    node::build(ros, master, knobs)?.run(stop, |_| ())
+    node::build(ros, master, knobs)?.run(stop, || ())
 }

@@ -23,7 +23,6 @@ use crate::ros::context::{Context, Shared};
 use crate::ros::input::Input;
 use crate::ros::log::Log;
 use crate::ros::mailbox::Request;
-use crate::ros::master::MasterRegistration;
 use crate::ros::node::{Node, NodeParts};
 use crate::ros::output::Output;
 use crate::ros::sink::RawMessage;
@@ -51,10 +50,6 @@ impl Publishers {
             markers: Output::new(ros, "follower/viz")?,
         })
     }
-
-    fn registrations(&self) -> [MasterRegistration; 3] {
-        [self.drive.registration(), self.report.registration(), self.markers.registration()]
-    }
 }
 
 /// The follower on the ROS graph.
@@ -75,7 +70,6 @@ pub(super) fn build<'a>(ros: &'a Ros, master: &'a Master, knobs: AllKnobs) -> Re
     let Shared { clock, log, mailbox, .. } = parts.shared.clone();
     let AllKnobs { node, follower } = knobs;
     let publishers = Publishers::new(ros)?;
-    parts.registrations = publishers.registrations().into();
     parts.services = vec![services::reset(ros, RESUME, &mailbox)?];
     log.info(&format!(
         "follows paths by {} at up to {} m/s, {} commands a second",

@@ -110,5 +110,5 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError>
     let knobs: RacecarSimKnobs = params::read_group(master, ros.name())?;
     let ground = Ground::new(&knobs)?;
     let (vehicle, lidar) = (knobs.vehicle(), knobs.lidar());
-    simulator::build(ros, master, &knobs, (&ground, &vehicle, &lidar))?.run(stop, |_| ())
+    simulator::build(ros, master, &knobs, (&ground, &vehicle, &lidar))?.run(stop, || ())
 }

@@ -18,7 +18,6 @@ use crate::messages::tf2_msgs::TFMessage;
 use crate::ros::NodeError;
 use crate::ros::context::Context;
 use crate::ros::input::Input;
-use crate::ros::master::MasterRegistration;
 use crate::ros::node::{Node, NodeParts};
 use crate::ros::output::Output;
 use crate::ros::worker::Algorithm;
@@ -55,10 +54,6 @@ impl Publishers {
             transforms: Output::new(ros, "/tf")?,
         })
     }
-
-    fn registrations(&self) -> [MasterRegistration; 4] {
-        [self.scan.registration(), self.odometry.registration(), self.truth.registration(), self.transforms.registration()]
-    }
 }
 
 /// The car, and the world it drives in.
@@ -89,9 +84,8 @@ pub(super) fn build<'a>(
     knobs: &RacecarSimKnobs,
     (ground, vehicle, lidar): (&'a Ground, &'a VehicleKnobs, &'a LidarKnobs),
 ) -> Result<Node<'a>, NodeError> {
-    let mut parts = NodeParts::new(ros, master)?;
+    let parts = NodeParts::new(ros, master)?;
     let (publishers, now) = (Publishers::new(ros)?, parts.shared.clock.now());
-    parts.registrations = publishers.registrations().into();
     let RacecarSimKnobs { world, rate, scan_rate, wheelbase, seed, .. } = knobs;
     parts.shared.log.info(&format!("simulates a racecar in {world}: poses at {rate} Hz, scans at {scan_rate} Hz"));
     let period = |rate: f64| Duration::from_secs_f64(rate.recip());

@@ -25,7 +25,7 @@ use super::live_params::{Change, ParameterWatch};
 use super::log::Log;
 use super::mailbox::{Event, Mailbox, Request};
 use super::mapper::{self, Mapping};
-use super::master::{MasterLink, resolved};
+use super::master::resolved;
 use super::node::{self, Node, NodeParts};
 use super::shutdown::StopSignal;
 use super::transform_output::TransformOutput;
@@ -98,7 +98,7 @@ fn serve(
     };
     let node = build(ros, parts, config, face, transform, mapping.as_mut())?;
     announce(ros, &log, config)?;
-    let outcome = node.run(stop, |master| changes.look(master));
+    let outcome = node.run(stop, || changes.look());
     if let Some(mapping) = mapping {
         mapping.end();
     }
@@ -118,13 +118,11 @@ fn build<'a>(
     app.set_interrupt(Arc::clone(&parts.shared.interrupts) as Arc<_>);
     let publishers = Publishers::new(ros, transform, face)?;
     parts.diagnose(TASK)?;
-    parts.registrations = publishers.registrations();
     let (save_profile, replies) = services::save_profile(ros, &parts.shared.mailbox)?;
     parts.services = vec![services::reset(ros, RESET, &parts.shared.mailbox)?, save_profile];
     let mut feed = None;
     if let Some(mapping) = mapping {
         parts.services.append(&mut mapping.services);
-        parts.registrations.append(&mut mapping.registrations);
         feed = mapping.feed.take();
     }
     let inputs = Matcher::inputs(config.cloud.input, face.predictors);
@@ -141,21 +139,20 @@ struct Changes<'a> {
 }
 
 impl Changes<'_> {
-    fn look(&mut self, master: &mut MasterLink) {
+    fn look(&mut self) {
         for (name, change) in self.watch.look() {
-            match change.and_then(|change| self.apply(change, master)) {
+            match change.and_then(|change| self.apply(change)) {
                 Ok(()) => self.log.info(&format!("parameter {name}: in force from now on")),
                 Err(problem) => self.log.error(&format!("parameter {name}: no effect: {problem}")),
             }
         }
     }
 
-    fn apply(&self, change: Change, master: &mut MasterLink) -> Result<(), String> {
+    fn apply(&self, change: Change) -> Result<(), String> {
         match change {
             Change::Matching(change) => self.mailbox.put_event(Event::Request(Request::Change(change))),
             Change::PublishTransform { child, on } => {
                 self.transform.switch(self.ros, &child, on).map_err(|error| error.to_string())?;
-                self.transform.registration().into_iter().for_each(|registration| master.add(registration));
             }
         }
         Ok(())

@@ -15,7 +15,6 @@ use crate::messages::std_msgs::Int32;
 use crate::messages::visualization_msgs::Marker;
 use crate::odometry::{MatchedPoints, OdometryCounters, Outcome};
 use crate::ros::NodeError;
-use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
 use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
@@ -52,23 +51,6 @@ impl Publishers {
             history: PathHistory::default(),
             last_transform: None,
         })
-    }
-
-    /// How the topics are registered with the master.
-    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
-        let always = [
-            self.pose.registration(),
-            self.state.registration(),
-            self.odometry.registration(),
-            self.report.registration(),
-            self.path.registration(),
-            self.debug.registration(),
-        ];
-        always
-            .into_iter()
-            .chain(self.transform.registration())
-            .chain(self.compat.iter().flat_map(PoseOutputs::registrations))
-            .collect()
     }
 
     /// Whether anybody looks at matched points.
