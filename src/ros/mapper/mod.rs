@@ -13,7 +13,7 @@
 mod convert;
 mod feed;
 mod maker;
-mod outlets;
+mod publishers;
 
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
@@ -24,7 +24,7 @@ use rosrust::api::Ros;
 pub(super) use self::feed::MapFeed;
 use self::feed::Order;
 use self::maker::MapMaker;
-use self::outlets::Outlets;
+use self::publishers::Publishers;
 use super::context::Shared;
 use super::services::{self, Service};
 use super::{NodeError, node, params};
@@ -66,14 +66,14 @@ impl Mapping {
     pub(super) fn start(ros: &Ros, config: &Config, shared: &Shared) -> Result<Self, NodeError> {
         let (orders, received) = sync_channel(CAPACITY);
         let place = Arc::new(Mutex::new((0, Pose2::IDENTITY)));
-        let outlets = Outlets::new(ros, &config.frames.map_frame)?;
+        let publishers = Publishers::new(ros, &config.frames.map_frame)?;
         let services = vec![
-            services::map(ros, "dynamic_map", outlets.last_map())?,
+            services::map(ros, "dynamic_map", publishers.last_map())?,
             services::ordered(ros, "~save_map", orders.clone(), Order::Save)?,
         ];
         let feed = MapFeed::new(orders.clone(), Arc::clone(&place), Arc::clone(&shared.monitor));
         let (config, clock, log) = (config.clone(), Arc::clone(&shared.clock), shared.log.clone());
-        let thread = node::spawn("mapping", move || MapMaker::new(config, clock, log, outlets, place).run(&received))?;
+        let thread = node::spawn("mapping", move || MapMaker::new(config, clock, log, publishers, place).run(&received))?;
         Ok(Self { orders, thread, services, feed: Some(feed) })
     }
 

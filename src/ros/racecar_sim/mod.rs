@@ -6,9 +6,9 @@
 //!  pose, initialpose ---^  teleports
 //! ```
 //!
-//! The oddities are in `face`. Its sideslip and the wheels' transforms are left out.
+//! The oddities are in `convert`. Its sideslip and the wheels' transforms are left out.
 
-mod face;
+mod convert;
 mod ground;
 mod simulator;
 

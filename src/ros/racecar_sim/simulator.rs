@@ -6,7 +6,7 @@ use rand_pcg::Pcg64;
 use rosrust::api::{Master, Ros};
 
 use super::ground::Ground;
-use super::{RacecarSimKnobs, face};
+use super::{RacecarSimKnobs, convert};
 use crate::anytime::timer::Timer;
 use crate::app::{InputError, planar_pose};
 use crate::geometry::Pose2;
@@ -179,14 +179,14 @@ impl Simulator<'_> {
         if self.poses.is_due(time) {
             self.numbers.0 = self.numbers.0.wrapping_add(1);
             let number = self.numbers.0;
-            self.publishers.truth.send(|| face::ground_truth(number, pose));
-            self.publishers.odometry.send(|| face::odometry(number, stamp, pose, twist));
-            self.publishers.transforms.send(|| face::transforms(number, stamp, pose, self.base_from_laser));
+            self.publishers.truth.send(|| convert::ground_truth(number, pose));
+            self.publishers.odometry.send(|| convert::odometry(number, stamp, pose, twist));
+            self.publishers.transforms.send(|| convert::transforms(number, stamp, pose, self.base_from_laser));
         }
         if self.scans.is_due(time) {
             self.numbers.1 = self.numbers.1.wrapping_add(1);
             let (number, world, lidar) = (self.numbers.1, self.world, &mut self.lidar);
-            self.publishers.scan.send(|| face::scan(number, lidar.scan(|_| world, |_| pose, stamp)));
+            self.publishers.scan.send(|| convert::scan(number, lidar.scan(|_| world, |_| pose, stamp)));
         }
     }
 

@@ -1,4 +1,4 @@
-//! What the map leaves by.
+//! Outputs of the map.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -16,16 +16,16 @@ use crate::ros::services::LastMap;
 use crate::time::Stamp;
 
 /// Every topic of the map.
-pub(super) struct Outlets {
+pub(super) struct Publishers {
     map: Output<nav_msgs::OccupancyGrid>,
     metadata: Output<nav_msgs::MapMetaData>,
     graph: Output<Marker>,
     frame: String,
-    /// For who asks for it.
+    /// The map published last, for the service.
     last: LastMap,
 }
 
-impl Outlets {
+impl Publishers {
     pub(super) fn new(ros: &Ros, map_frame: &str) -> Result<Self, NodeError> {
         Ok(Self {
             map: Output::latched(ros, "map")?,
