@@ -27,8 +27,10 @@ fn longest(text: &str) -> usize {
 fn commands() -> Vec<String> {
     let help = text(&["--help"], None);
     let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-    let commands: Vec<String> = listed.filter_map(|line| Some(line.split_whitespace().next()?.to_owned())).collect();
-    assert!(commands.len() >= 12 && commands.contains(&"replay".into()), "{commands:?}");
+    // The lines that a description goes on in are farther in.
+    let names = listed.filter_map(|line| line.strip_prefix("  ")?.split(' ').next().filter(|name| !name.is_empty()));
+    let commands: Vec<String> = names.filter(|name| *name != "help").map(str::to_owned).collect();
+    assert!(commands.len() >= 11 && commands.contains(&"replay".into()), "{commands:?}");
     commands
 }
 
