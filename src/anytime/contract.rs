@@ -1,5 +1,6 @@
 //! The time contract: answer within delta, with an error of at most epsilon.
 
+use std::fmt;
 use std::time::Duration;
 
 use thiserror::Error;
@@ -104,6 +105,20 @@ impl Contract {
     /// Whether there is an error bound to stop at.
     pub fn has_error_bound(&self) -> bool {
         self.translation_error_bound.is_some() || self.rotation_error_bound.is_some()
+    }
+}
+
+/// In words: `within 5ms, to 0.01 m`.
+impl fmt::Display for Contract {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let limits = [
+            self.time_budget.map(|budget| format!("within {budget:?}")),
+            self.translation_error_bound.map(|bound| format!("to {bound} m")),
+            self.rotation_error_bound.map(|bound| format!("to {bound} rad")),
+        ];
+        let limits: Vec<String> = limits.into_iter().flatten().collect();
+        f.write_str(if limits.is_empty() { "to completion" } else { "" })?;
+        f.write_str(&limits.join(", "))
     }
 }
 

@@ -1,4 +1,4 @@
-//! Absolute trajectory error: how far the estimate is from the truth once it is laid upon it as well as it can be.
+//! Absolute trajectory error: how far the estimate is from the truth once the two are aligned as well as possible.
 //!
 //! J. Sturm, N. Engelhard, F. Endres, W. Burgard, D. Cremers: A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012.
 

@@ -19,7 +19,7 @@ use crate::map::distance::DistanceField;
 use crate::map::grid::{Cell, OccupancyGrid};
 use crate::quantile;
 
-/// Farther off than this is a mistake, m.
+/// A distance above this counts as an error, m.
 pub const FAR: f64 = 0.1;
 /// Walls count as seen where free space was seen this near, m.
 const BESIDE: f64 = 0.15;
@@ -54,7 +54,7 @@ impl Distances {
     }
 }
 
-/// What can be told of a map by itself.
+/// What a map shows without a true one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Shape {
     /// Part of the known cells that is occupied.
@@ -178,7 +178,7 @@ fn seen_walls(truth: &OccupancyGrid, map: &OccupancyGrid, truth_from_map: &Rigid
         .flat_map(|x| (-reach..=reach).map(move |y| Point::new(x as f64, y as f64) * map.resolution()))
         .filter(|offset| offset.norm() <= BESIDE)
         .collect();
-    // What is within walls nobody sees.
+    // The inside of walls is never seen.
     let is_side = |wall: &Point| {
         let beside = [Point::x(), -Point::x(), Point::y(), -Point::y()].map(|step| wall + step * truth.resolution());
         beside.iter().any(|place| at(truth, place) != Some(Cell::Occupied))
@@ -259,7 +259,7 @@ impl<'a> Field<'a> {
         ((low + y * (high - low)) * self.map.resolution(), turned)
     }
 
-    /// The step of Gauss and Newton for the points nearer than `limit`; `None` where they fix nothing.
+    /// The Gauss-Newton step for the points nearer than `limit`; `None` where they do not determine one.
     fn step(&self, points: &[Point], motion: &Pose2, limit: f64) -> Option<Vector3<f64>> {
         let transform = motion.transform();
         let (mut matrix, mut gradient) = (Matrix3::zeros(), Vector3::zeros());

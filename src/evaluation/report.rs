@@ -1,4 +1,4 @@
-//! All that is known of a trajectory's quality, for people and for machines.
+//! The quality of a trajectory, as text and as JSON.
 
 use std::fmt;
 
@@ -41,7 +41,7 @@ pub struct Report {
     pub rpe: Option<PoseErrors>,
     /// Errors over the relations; `None` without.
     pub relations: Option<RelationErrors>,
-    /// What makes the figures less than they seem.
+    /// Warnings: what limits the figures.
     pub warnings: Vec<String>,
 }
 
@@ -92,7 +92,7 @@ impl Report {
         warnings
     }
 
-    /// One object; figures that there are not are `null`.
+    /// One object; missing figures are `null`.
     pub fn to_json(&self) -> Value {
         let distance = self.comparison.rpe_distance;
         let relations = self.relations.map(|r| {

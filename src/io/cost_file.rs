@@ -32,7 +32,7 @@ pub enum CostFileError {
     },
 }
 
-/// Tells `costs` what the file knows; whether there is a file.
+/// Loads the file into `costs`. Returns whether there is a file.
 pub fn read(path: &Path, costs: &mut CostModel) -> Result<bool, CostFileError> {
     let text = match std::fs::read_to_string(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
@@ -44,7 +44,7 @@ pub fn read(path: &Path, costs: &mut CostModel) -> Result<bool, CostFileError> {
     Ok(true)
 }
 
-/// Writes what `costs` knows.
+/// Writes `costs`.
 pub fn write(path: &Path, costs: &CostModel) -> Result<(), CostFileError> {
     let system = |problem| CostFileError::System { action: "write", path: path.into(), problem };
     let text = serde_saphyr::to_string(&costs.entries()).map_err(|error| system(io::Error::other(error.to_string())))?;

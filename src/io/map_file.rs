@@ -75,7 +75,7 @@ pub fn write(map: &OccupancyGrid, image_path: &Path, yaml: &mut impl Write, imag
     image.write_all(&shades)
 }
 
-/// The YAML file. Fields that other programs add are let pass.
+/// The YAML file. Fields that other programs add are ignored.
 #[derive(Deserialize)]
 struct Description {
     image: PathBuf,

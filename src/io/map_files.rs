@@ -57,7 +57,7 @@ pub struct MapFiles {
 }
 
 impl MapFiles {
-    /// Begins them: a folder that cannot be written to is told at once.
+    /// Begins them; fails at once if the folder cannot be written to.
     pub fn create(paths: MapPaths) -> Result<Self, MapFilesError> {
         let create = |path: &Path| OutputFile::create(path).map_err(failed("create", path));
         let [yaml, image, graph] = [create(&paths.yaml)?, create(&paths.image)?, create(&paths.graph)?];

@@ -14,7 +14,7 @@ use crate::simulation::scene::Scene;
 use super::bag::{BagError, BagWriter};
 use super::tum::TumWriter;
 
-/// Why a drive was not written to its end.
+/// Why a drive could not be written.
 #[derive(Debug, Error)]
 pub enum RecordError {
     /// The bag cannot be written.
@@ -25,7 +25,7 @@ pub enum RecordError {
     Truth(std::io::Error),
 }
 
-/// What odometry says, as drivers say it to tf: where the base is in the frame of the odometry.
+/// Odometry as a transform, as drivers publish it: where the base is in the frame of the odometry.
 fn transform(odometry: &Odometry) -> TFMessage {
     let Point { x, y, z } = odometry.pose.pose.position;
     let transform = Transform { translation: Vector3 { x, y, z }, rotation: odometry.pose.pose.orientation.clone() };

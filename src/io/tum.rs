@@ -58,7 +58,7 @@ fn yaw([x, y, z, w]: [f64; 4]) -> Result<f64, String> {
     Ok(quaternion.yaw())
 }
 
-/// Writes a trajectory as it comes into being.
+/// Writes a trajectory pose by pose.
 ///
 /// Each pose is one `write_all` of a complete line: over a bare [`std::fs::File`] nothing of a killed run is lost, over a
 /// [`std::io::BufWriter`] only the last lines, and neither leaves half a line behind.
@@ -85,7 +85,7 @@ impl<W: Write> TumWriter<W> {
         self.sink
     }
 
-    /// Sends on what `sink` still holds back.
+    /// Flushes `sink`.
     pub fn flush(&mut self) -> io::Result<()> {
         self.sink.flush()
     }

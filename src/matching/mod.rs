@@ -1,8 +1,9 @@
 //! Matching a sensed scan to a reference scan by iterated closest point.
 //!
-//! The whole algorithm is [`Refinement::refine`]: correspondences, rejection, solve. [`Matcher::begin`] sets a match up, each
-//! `refine` improves it, and [`Refinement::pose`] is the best pose so far at every moment: that makes it an anytime algorithm. No
-//! clock is read here, nothing allocates once the buffers have grown to the size of the scans, nothing prints and nothing panics.
+//! The whole algorithm is `Refinement::iterate`: correspondences, rejection, solve. [`Refinement::refine`] adds the levels, from few rays
+//! to all, and the search for other starts. [`Matcher::begin`] sets a match up, each `refine` improves it, and [`Refinement::pose`] is the
+//! best pose so far at every moment: that makes it an anytime algorithm. No clock is read here, nothing allocates once the buffers have
+//! grown to the size of the scans, nothing prints and nothing panics.
 
 pub mod correspondence;
 mod covariance;
@@ -16,6 +17,9 @@ pub mod solver;
 mod surface;
 mod symmetric_eigen;
 mod view;
+
+#[cfg(test)]
+mod tests;
 
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
@@ -281,15 +285,15 @@ impl Matcher {
     }
 }
 
-/// What a refinement is at.
+/// What a refinement is at. The later stages hold what tracking had come to, for when they find nothing better.
 #[derive(Clone, Copy, Debug)]
 enum Stage {
     /// From the first guess on.
     Track,
     /// The scans do not agree: from other starts.
-    Search,
+    Search(Tracked),
     /// From the best of them.
-    Confirm,
+    Confirm(Tracked),
 }
 
 /// A match under way.
@@ -315,8 +319,9 @@ impl Refinement<'_> {
     pub fn refine(&mut self) -> Option<StopReason> {
         if self.stopped.is_none() {
             self.stopped = match self.stage {
-                Stage::Search => self.seek(),
-                Stage::Track | Stage::Confirm => self.step().and_then(|outcome| self.review(outcome)),
+                Stage::Track => self.step().and_then(|outcome| self.review(outcome)),
+                Stage::Search(tracked) => self.seek(tracked),
+                Stage::Confirm(tracked) => self.step().map(|outcome| self.confirm(outcome, &tracked)),
             };
         }
         self.stopped
@@ -335,28 +340,22 @@ impl Refinement<'_> {
         }
     }
 
-    /// What to do when the iterations have come to an end.
+    /// What to do when tracking has come to an end: it may need a search.
     fn review(&mut self, outcome: StopReason) -> Option<StopReason> {
         let m = &mut *self.matcher;
         let Some(agreement) = m.pairing.agreement() else { return Some(outcome) };
-        if let (Stage::Confirm, Some(tracked)) = (self.stage, m.search.tracked()) {
-            let is_likely = !outcome.is_failure() && agreement.share() > LIKELY_AGREEMENT;
-            let deviation = self.first_guess.prior.map_or(0.0, |prior| prior.deviation(&self.pose));
-            let is_better = is_likely && search::is_better(agreement, tracked.agreement, self.finest, deviation);
-            return Some(if is_better { outcome } else { self.return_to(&tracked) });
-        }
         if !outcome.is_failure() && agreement.share() >= self.first_guess.window.doubtful_agreement {
             return Some(outcome);
         }
-        m.search.begin(&self.first_guess, Tracked { pose: self.pose, width: m.pairing.width(), agreement, outcome });
-        self.stage = Stage::Search;
+        m.search.begin(&self.first_guess);
+        self.stage = Stage::Search(Tracked { pose: self.pose, width: m.pairing.width(), agreement, outcome });
         self.next_rays = SEARCH_RAYS.min(self.finest);
         self.begin_level();
         None
     }
 
     /// A part of the search: starts are scored, then each of the best is refined with few rays, then the best of those with all.
-    fn seek(&mut self) -> Option<StopReason> {
+    fn seek(&mut self, tracked: Tracked) -> Option<StopReason> {
         let m = &mut *self.matcher;
         if m.search.score_some(&*m.pairing) {
             return None;
@@ -366,7 +365,6 @@ impl Refinement<'_> {
             m.search.consider(pose, agreement);
             return None;
         }
-        let tracked = m.search.tracked()?;
         m.pairing.pair(&tracked.pose, m.solver.metric());
         let before = m.pairing.agreement()?;
         let Some(found) = m.search.found(before, m.pairing.rays()) else { return Some(self.return_to(&tracked)) };
@@ -374,10 +372,19 @@ impl Refinement<'_> {
         // What led astray must not pull the pose back there.
         let prior = self.first_guess.prior.map(|prior| Prior { covariance: prior.covariance * DISTRUST, ..prior });
         m.pairing.begin(&FirstGuess { pose: found, prior, ..self.first_guess });
-        self.stage = Stage::Confirm;
+        self.stage = Stage::Confirm(tracked);
         self.stage_start = m.trace.len();
         self.use_rays(self.finest);
         None
+    }
+
+    /// Whether what the search has found is better than what tracking had come to, now that it has been refined with all rays.
+    fn confirm(&mut self, outcome: StopReason, tracked: &Tracked) -> StopReason {
+        let agreement = self.matcher.pairing.agreement().unwrap_or_default();
+        let is_likely = !outcome.is_failure() && agreement.share() > LIKELY_AGREEMENT;
+        let deviation = self.first_guess.prior.map_or(0.0, |prior| prior.deviation(&self.pose));
+        let is_better = is_likely && search::is_better(agreement, tracked.agreement, self.finest, deviation);
+        if is_better { outcome } else { self.return_to(tracked) }
     }
 
     /// The search has found nothing better.
@@ -401,8 +408,8 @@ impl Refinement<'_> {
     /// Number of sensed rays that take part in the next iteration, or nearly so; of the search, as many as are as much work.
     pub fn next_rays(&self) -> usize {
         match self.stage {
-            Stage::Search => SEARCH_RAYS * (SEARCH_ITERATIONS + 1),
-            Stage::Track | Stage::Confirm => self.next_rays,
+            Stage::Search(_) => SEARCH_RAYS * (SEARCH_ITERATIONS + 1),
+            Stage::Track | Stage::Confirm(_) => self.next_rays,
         }
     }
 
@@ -467,7 +474,7 @@ impl Refinement<'_> {
 
     /// Whether other starts are being tried, because the scans agree too little at [`Self::pose`].
     pub fn is_searching(&self) -> bool {
-        matches!(self.stage, Stage::Search)
+        matches!(self.stage, Stage::Search(_))
     }
 
     /// Part of the rays that end where the reference has a surface, of those that end where it sees; `None` where pairs say nothing of
@@ -485,7 +492,7 @@ impl Refinement<'_> {
     pub fn uncertainty(&mut self) -> Option<Uncertainty> {
         let m = &mut *self.matcher;
         m.trace.last()?;
-        if let (Stage::Search, Some(tracked)) = (self.stage, m.search.tracked()) {
+        if let Stage::Search(tracked) = self.stage {
             m.pair_again(&self.first_guess, &tracked);
         }
         Some(m.pairing.uncertainty(&self.pose, m.solver.metric()))

@@ -39,12 +39,10 @@ pub(super) struct Search {
     scores: Vec<(u32, usize)>,
     is_scored: bool,
     best: Option<(Pose2, Agreement)>,
-    tracked: Option<Tracked>,
 }
 
 impl Search {
-    pub(super) fn begin(&mut self, guess: &FirstGuess, tracked: Tracked) {
-        self.tracked = Some(tracked);
+    pub(super) fn begin(&mut self, guess: &FirstGuess) {
         self.best = None;
         self.is_scored = false;
         self.scores.clear();
@@ -55,11 +53,6 @@ impl Search {
                 self.starts.extend(offsets(distance, STEP).map(|left| guess.pose * Pose2::new(forward, left, turn)));
             }
         }
-    }
-
-    /// What tracking had come to.
-    pub(super) fn tracked(&self) -> Option<Tracked> {
-        self.tracked
     }
 
     /// Scores some more starts; in the end, leaves those that promise most. Answers whether there was anything to do.

@@ -1,4 +1,4 @@
-//! A bag through the particle filter, and what came of it.
+//! Replays a bag through the particle filter.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -24,7 +24,7 @@ use crate::localization::estimate::Belief;
 use crate::quantile;
 use crate::time::Stamp;
 
-/// What became of a scan.
+/// The outcome for a scan.
 #[derive(Clone, Debug)]
 pub enum Answer {
     /// The filter took it in, or could not use it.

@@ -16,7 +16,7 @@ use crate::io::csv_file::CsvFile;
 use crate::io::tum::TumWriter;
 use crate::output::OutputFile;
 
-/// Why a replay ended before its time.
+/// Why a replay failed.
 #[derive(Debug, Error)]
 pub enum RecordError {
     /// The bag cannot be read.

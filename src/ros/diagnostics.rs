@@ -9,7 +9,6 @@ use rosrust::api::Ros;
 
 use super::NodeError;
 use super::mailbox::Dropped;
-use super::master::MasterRegistration;
 use super::output::Output;
 use crate::app::Estimate;
 use crate::messages::Time;
@@ -147,10 +146,6 @@ impl Diagnostics {
     pub(super) fn new(ros: &Ros, task: Task) -> Result<Self, NodeError> {
         let name = format!("{}: {}", ros.name().trim_start_matches('/'), task.title);
         Ok(Self { output: Output::new(ros, "/diagnostics")?, name, task, before: (Counts::default(), Dropped::default()) })
-    }
-
-    pub(super) fn registration(&self) -> MasterRegistration {
-        self.output.registration()
     }
 
     /// Reports on the time since the last report, `seconds` ago.

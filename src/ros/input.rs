@@ -1,60 +1,74 @@
-//! Inputs of the scan matcher.
+//! A topic that a node reads: its name, its type, and what is done with a message. A node lists each of its own once.
 
-use super::sink::Topic;
-use super::worker::NodeInput;
-use crate::messages::geometry_msgs::{PoseWithCovarianceStamped, Twist, TwistStamped};
-use crate::messages::nav_msgs::Odometry;
-use crate::messages::own::Contract;
-use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
+use std::fmt::Display;
+
+use super::context::Context;
+use super::sink::{RawMessage, Topic};
+use crate::messages::Message;
+use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::std_msgs::Empty;
-use crate::messages::tf2_msgs::TFMessage;
 
-/// A topic the node listens to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) enum Input {
+type Handler<A> = Box<dyn Fn(&mut A, &RawMessage, &mut Context) + Send>;
+
+/// A topic that a node of the algorithm `A` reads.
+pub(super) struct Input<A> {
+    pub(super) topic: Topic,
+    pub(super) handling: Handling<A>,
+}
+
+/// How messages are handled.
+pub(super) enum Handling<A> {
+    /// A scan is answered, unless a newer one replaces it.
     Scan,
+    /// The same for a point cloud.
     Cloud,
-    Odometry,
-    Imu,
-    Velocity,
-    StampedVelocity,
-    Contract,
+    /// It asks for the answer now.
     Interrupt,
-    InitialPose,
-    Transforms,
-    StaticTransforms,
+    /// It is taken into account, in the order of arrival.
+    Event(Handler<A>),
 }
 
-impl Input {
-    pub(super) const ALL: [Self; 11] = [
-        Self::Scan,
-        Self::Cloud,
-        Self::Odometry,
-        Self::Imu,
-        Self::Velocity,
-        Self::StampedVelocity,
-        Self::Contract,
-        Self::Interrupt,
-        Self::InitialPose,
-        Self::Transforms,
-        Self::StaticTransforms,
-    ];
-}
-
-impl NodeInput for Input {
-    fn topic(self) -> Topic {
-        match self {
-            Self::Scan => Topic::vital::<LaserScan>("scan"),
-            Self::Cloud => Topic::vital::<PointCloud2>("cloud"),
-            Self::Odometry => Topic::of::<Odometry>("odom"),
-            Self::Imu => Topic::of::<Imu>("imu/data"),
-            Self::Velocity => Topic::of::<Twist>("vel"),
-            Self::StampedVelocity => Topic::of::<TwistStamped>("vel"),
-            Self::Contract => Topic::of::<Contract>("icp_contract"),
-            Self::Interrupt => Topic::of::<Empty>("icp_interrupt"),
-            Self::InitialPose => Topic::of::<PoseWithCovarianceStamped>("initialpose"),
-            Self::Transforms => Topic::of::<TFMessage>("/tf"),
-            Self::StaticTransforms => Topic::of::<TFMessage>("/tf_static"),
+impl<A> Input<A> {
+    /// The scans that the node answers, or the point clouds.
+    pub(super) fn scans(are_clouds: bool) -> Self {
+        if are_clouds {
+            Self { topic: Topic::vital::<PointCloud2>("cloud"), handling: Handling::Cloud }
+        } else {
+            Self { topic: Topic::vital::<LaserScan>("scan"), handling: Handling::Scan }
         }
+    }
+
+    /// Requests for the answer now.
+    pub(super) fn interrupts() -> Self {
+        Self { topic: Topic::of::<Empty>("icp_interrupt"), handling: Handling::Interrupt }
+    }
+
+    /// Messages of type `T`, each handed to `take` in the order of arrival. One that gives an error is refused.
+    pub(super) fn of<T: Message, E: Display>(
+        name: &'static str,
+        take: impl Fn(&mut A, &T) -> Result<(), E> + Send + 'static,
+    ) -> Self {
+        Self::with_context(name, move |algorithm, message, _, _| take(algorithm, message))
+    }
+
+    /// The same; `take` is also given the message as it came, and the context of the thread.
+    pub(super) fn with_context<T: Message, E: Display>(
+        name: &'static str,
+        take: impl Fn(&mut A, &T, &RawMessage, &mut Context) -> Result<(), E> + Send + 'static,
+    ) -> Self {
+        let handler = move |algorithm: &mut A, raw: &RawMessage, context: &mut Context| {
+            if let Some(message) = context.reader.read::<T>(name, raw)
+                && let Err(problem) = take(algorithm, &message, raw, context)
+            {
+                context.reader.refuse(name, &raw.sender, &problem);
+            }
+        };
+        Self { topic: Topic::of::<T>(name), handling: Handling::Event(Box::new(handler)) }
+    }
+
+    /// The same input; without it the node does nothing useful.
+    pub(super) fn vital(mut self) -> Self {
+        self.topic.is_vital = true;
+        self
     }
 }

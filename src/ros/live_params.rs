@@ -10,15 +10,22 @@ use crate::anytime::contract::Contract;
 use crate::config::Config;
 use crate::knobs::Value;
 
-/// What can be changed while the node runs.
-const LIVE: [&str; 6] = [
-    "contract.time_budget",
-    "contract.translation_error_bound",
-    "contract.rotation_error_bound",
-    "matching.max_iterations",
-    "publish_tf",
-    "publish_map_tf",
+/// The change to what a configuration says.
+type ChangeTo = fn(&Config, &Contract) -> Change;
+
+/// What can be changed while the node runs, and the change that the configuration then asks for.
+const LIVE: &[(&str, ChangeTo)] = &[
+    ("contract.time_budget", |_, contract| Limit::TimeBudget(contract.time_budget).into()),
+    ("contract.translation_error_bound", |_, contract| Limit::TranslationErrorBound(contract.translation_error_bound).into()),
+    ("contract.rotation_error_bound", |_, contract| Limit::RotationErrorBound(contract.rotation_error_bound).into()),
+    ("matching.max_iterations", |config, _| Change::Matching(MatchingChange::MaxIterations(config.matching.max_iterations))),
+    ("publish_tf", |config, _| transform(&config.frames.base_frame, config.frames.publish_tf)),
+    ("publish_map_tf", |config, _| transform(&config.frames.odom_frame, config.frames.publish_map_tf)),
 ];
+
+fn transform(child: &str, on: bool) -> Change {
+    Change::PublishTransform { child: child.into(), on }
+}
 
 /// A change that takes effect at once.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,6 +51,12 @@ pub(super) enum Limit {
     TimeBudget(Option<Duration>),
     TranslationErrorBound(Option<f64>),
     RotationErrorBound(Option<f64>),
+}
+
+impl From<Limit> for Change {
+    fn from(limit: Limit) -> Self {
+        Self::Matching(MatchingChange::Limit(limit))
+    }
 }
 
 impl Limit {
@@ -107,22 +120,13 @@ impl<'a> ParameterWatch<'a> {
         if let Err(error) = config.check_frames(&source) {
             return Some(Err(error.to_string()));
         }
-        if !LIVE.contains(&path) {
-            return Some(Err(format!("it takes effect when the node is started again; at once do: {}", LIVE.join(", "))));
-        }
-        let transform = |child: &String, on| Change::PublishTransform { child: child.clone(), on };
-        let change = match path {
-            "publish_tf" => transform(&config.frames.base_frame, config.frames.publish_tf),
-            "publish_map_tf" => transform(&config.frames.odom_frame, config.frames.publish_map_tf),
-            "matching.max_iterations" => Change::Matching(MatchingChange::MaxIterations(config.matching.max_iterations)),
-            _ => match Contract::try_from(&config.contract) {
-                Ok(contract) => Change::Matching(MatchingChange::Limit(match path {
-                    "contract.time_budget" => Limit::TimeBudget(contract.time_budget),
-                    "contract.translation_error_bound" => Limit::TranslationErrorBound(contract.translation_error_bound),
-                    _ => Limit::RotationErrorBound(contract.rotation_error_bound),
-                })),
-                Err(error) => return Some(Err(error.to_string())),
-            },
+        let Some((_, change)) = LIVE.iter().find(|(live, _)| *live == path) else {
+            let live: Vec<&str> = LIVE.iter().map(|(path, _)| *path).collect();
+            return Some(Err(format!("it takes effect when the node is started again; at once do: {}", live.join(", "))));
+        };
+        let change = match Contract::try_from(&config.contract) {
+            Ok(contract) => change(&config, &contract),
+            Err(error) => return Some(Err(error.to_string())),
         };
         self.config = config;
         Some(Ok(change))

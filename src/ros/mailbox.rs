@@ -19,10 +19,17 @@ const SCANS: usize = 333;
 
 /// Anything but a scan.
 #[derive(Debug, PartialEq)]
-pub(super) enum Event<I> {
-    /// A message.
-    Message(I, RawMessage),
-    /// A call of the node's service.
+pub(super) enum Event {
+    /// A message of the input of this index among those of the node.
+    Message(usize, RawMessage),
+    /// A request that is no message.
+    Request(Request),
+}
+
+/// What is asked of a node by its services and parameters.
+#[derive(Debug, PartialEq)]
+pub(super) enum Request {
+    /// A call of the service that starts again, whatever that is to the node.
     Reset,
     /// A call of the service `save_profile`.
     SaveProfile,
@@ -30,45 +37,33 @@ pub(super) enum Event<I> {
     Change(MatchingChange),
 }
 
-impl<I> Event<I> {
+impl Event {
     fn bytes(&self) -> usize {
         match self {
             Self::Message(_, raw) => raw.bytes.len(),
-            Self::Reset | Self::SaveProfile | Self::Change(_) => 0,
+            Self::Request(_) => 0,
         }
     }
 }
 
 /// Work to do: first the events, in their order of arrival, then the scan.
-#[derive(Debug, PartialEq)]
-pub(super) struct Work<I> {
-    pub(super) events: VecDeque<Event<I>>,
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Work {
+    pub(super) events: VecDeque<Event>,
     pub(super) scan: Option<RawMessage>,
 }
 
-impl<I> Default for Work<I> {
-    fn default() -> Self {
-        Self { events: VecDeque::new(), scan: None }
-    }
-}
-
 /// Work for the thread of a node. A scan gives way to one that comes so long after it as scans may wait in line: at first at once, as an
-/// answer to an old one helps nobody. `I`: the inputs of the node.
-pub(super) struct Mailbox<I> {
-    state: Mutex<State<I>>,
+/// answer to an old one helps nobody.
+#[derive(Default)]
+pub(super) struct Mailbox {
+    state: Mutex<State>,
     filled: Condvar,
 }
 
-impl<I> Default for Mailbox<I> {
-    fn default() -> Self {
-        let (events, scans, patience) = (VecDeque::new(), VecDeque::new(), Duration::ZERO);
-        let state = State { events, bytes: 0, scans, patience, dropped: Dropped::default(), closed: false };
-        Self { state: Mutex::new(state), filled: Condvar::new() }
-    }
-}
-
-struct State<I> {
-    events: VecDeque<Event<I>>,
+#[derive(Default)]
+struct State {
+    events: VecDeque<Event>,
     /// Of the events' messages.
     bytes: usize,
     /// In the order of arrival.
@@ -79,12 +74,12 @@ struct State<I> {
     closed: bool,
 }
 
-impl<I> State<I> {
-    fn take(&mut self) -> Work<I> {
+impl State {
+    fn take(&mut self) -> Work {
         Work { events: self.take_events(), scan: self.scans.pop_front() }
     }
 
-    fn take_events(&mut self) -> VecDeque<Event<I>> {
+    fn take_events(&mut self) -> VecDeque<Event> {
         self.bytes = 0;
         mem::take(&mut self.events)
     }
@@ -120,9 +115,9 @@ impl<I> State<I> {
 }
 
 /// Interrupts deferred work when another scan is here.
-pub(super) struct NextScan<'a, I>(pub(super) &'a Mailbox<I>);
+pub(super) struct NextScan<'a>(pub(super) &'a Mailbox);
 
-impl<I: Send> Interrupt for NextScan<'_, I> {
+impl Interrupt for NextScan<'_> {
     fn is_requested(&self) -> bool {
         self.0.has_scan()
     }
@@ -137,7 +132,7 @@ pub(super) struct Dropped {
     pub(super) events: u64,
 }
 
-impl<I> Mailbox<I> {
+impl Mailbox {
     pub(super) fn put_scan(&self, raw: RawMessage) {
         let mut state = self.lock();
         state.scans.push_back(raw);
@@ -145,7 +140,7 @@ impl<I> Mailbox<I> {
         self.filled.notify_one();
     }
 
-    pub(super) fn put_event(&self, event: Event<I>) {
+    pub(super) fn put_event(&self, event: Event) {
         let mut state = self.lock();
         state.bytes += event.bytes();
         state.events.push_back(event);
@@ -173,26 +168,26 @@ impl<I> Mailbox<I> {
     }
 
     /// Waits for work. `None` once the mailbox is closed.
-    pub(super) fn take(&self) -> Option<Work<I>> {
+    pub(super) fn take(&self) -> Option<Work> {
         let mut state = self.filled.wait_while(self.lock(), State::is_idle).unwrap_or_else(PoisonError::into_inner);
         (!state.closed).then(|| state.take())
     }
 
     /// Waits for work, but no longer than `timeout`: then there may be none. `None` once the mailbox is closed.
-    pub(super) fn take_within(&self, timeout: Duration) -> Option<Work<I>> {
+    pub(super) fn take_within(&self, timeout: Duration) -> Option<Work> {
         let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         (!state.closed).then(|| state.take())
     }
 
     /// The events to go on with while a scan is held back, for which there is so much time `left`. `None`: it is to be answered now.
-    pub(super) fn events_for_held_scan(&self, left: Duration, interrupt: &dyn Interrupt) -> Option<VecDeque<Event<I>>> {
+    pub(super) fn events_for_held_scan(&self, left: Duration, interrupt: &dyn Interrupt) -> Option<VecDeque<Event>> {
         let wait_no_more = left.is_zero() || interrupt.is_requested() || self.lock().is_held_scan_over();
         (!wait_no_more).then(|| self.take_events(left.min(LOOK)).unwrap_or_default())
     }
 
     /// Waits for events while a scan is held back: at most `timeout`, and no longer once it gives way to a newer one. `None`: none came.
-    fn take_events(&self, timeout: Duration) -> Option<VecDeque<Event<I>>> {
+    fn take_events(&self, timeout: Duration) -> Option<VecDeque<Event>> {
         let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle_for_held_scan);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         let events = state.take_events();
@@ -215,7 +210,7 @@ impl<I> Mailbox<I> {
     }
 
     /// The state is consistent at every moment, even if a thread has panicked while it held the lock.
-    fn lock(&self) -> MutexGuard<'_, State<I>> {
+    fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -223,7 +218,8 @@ impl<I> Mailbox<I> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ros::input::Input;
+
+    const RESET: Event = Event::Request(Request::Reset);
 
     fn raw(arrival: u64) -> RawMessage {
         RawMessage { arrival: Duration::from_millis(arrival), sender: "/driver".into(), bytes: Vec::new() }
@@ -232,26 +228,26 @@ mod tests {
     #[test]
     fn the_newest_scan_wins_and_events_keep_their_order() {
         let mailbox = Mailbox::default();
-        mailbox.put_event(Event::Message(Input::Odometry, raw(1)));
+        mailbox.put_event(Event::Message(0, raw(1)));
         mailbox.put_scan(raw(2));
-        mailbox.put_event(Event::Reset);
+        mailbox.put_event(RESET);
         mailbox.put_scan(raw(3));
         let work = mailbox.take().unwrap();
         assert_eq!(work.scan, Some(raw(3)));
-        assert_eq!(work.events, [Event::Message(Input::Odometry, raw(1)), Event::Reset]);
+        assert_eq!(work.events, [Event::Message(0, raw(1)), RESET]);
         assert_eq!(mailbox.dropped(), Dropped { scans: 1, events: 0 });
     }
 
     #[test]
     fn patient_scans_wait_in_line_and_the_old_ones_go() {
-        let mailbox = Mailbox::<Input>::default();
+        let mailbox = Mailbox::default();
         mailbox.set_patience(Duration::from_millis(10));
         (0..4).for_each(|i| mailbox.put_scan(raw(4 * i)));
         let next = || mailbox.take_within(Duration::ZERO).unwrap().scan.map(|scan| scan.arrival.as_millis());
         assert_eq!((next(), mailbox.dropped().scans), (Some(4), 1), "the first gave way to the last");
         assert_eq!(mailbox.take_events(Duration::from_millis(1)), None);
-        mailbox.put_event(Event::Reset);
-        assert_eq!(mailbox.take_events(Duration::from_secs(60)), Some(VecDeque::from([Event::Reset])), "whatever scans wait");
+        mailbox.put_event(RESET);
+        assert_eq!(mailbox.take_events(Duration::from_secs(60)), Some(VecDeque::from([RESET])), "whatever scans wait");
         assert_eq!((next(), next(), next(), mailbox.dropped().scans), (Some(8), Some(12), None, 1));
         (0..SCANS as u64 + 5).for_each(|_| mailbox.put_scan(raw(100)));
         assert_eq!(mailbox.dropped().scans, 6, "of so many at once some go");
@@ -263,10 +259,10 @@ mod tests {
     fn a_full_mailbox_loses_the_oldest_events_and_counts_them() {
         let mailbox = Mailbox::default();
         for arrival in 0..CAPACITY as u64 + 2 {
-            mailbox.put_event(Event::Message(Input::Odometry, raw(arrival)));
+            mailbox.put_event(Event::Message(0, raw(arrival)));
         }
         let work = mailbox.take().unwrap();
-        assert_eq!((work.events.len(), work.events.front()), (CAPACITY, Some(&Event::Message(Input::Odometry, raw(2)))));
+        assert_eq!((work.events.len(), work.events.front()), (CAPACITY, Some(&Event::Message(0, raw(2)))));
         assert_eq!(mailbox.dropped(), Dropped { scans: 0, events: 2 });
     }
 
@@ -275,27 +271,27 @@ mod tests {
         let mailbox = Mailbox::default();
         for arrival in 0..5 {
             let bytes = vec![0; CAPACITY_BYTES / 3];
-            mailbox.put_event(Event::Message(Input::Transforms, RawMessage { bytes, ..raw(arrival) }));
+            mailbox.put_event(Event::Message(0, RawMessage { bytes, ..raw(arrival) }));
         }
         assert_eq!((mailbox.take().unwrap().events.len(), mailbox.dropped().events), (3, 2));
-        mailbox.put_event(Event::Message(Input::Transforms, RawMessage { bytes: vec![0; CAPACITY_BYTES + 1], ..raw(6) }));
-        mailbox.put_event(Event::Reset);
+        mailbox.put_event(Event::Message(0, RawMessage { bytes: vec![0; CAPACITY_BYTES + 1], ..raw(6) }));
+        mailbox.put_event(RESET);
         assert_eq!((mailbox.take().unwrap().events.len(), mailbox.dropped().events), (1, 3), "too long to be kept at all");
     }
 
     #[test]
     fn a_held_scan_waits_for_events_but_not_for_ever() {
-        let mailbox = Mailbox::<Input>::default();
+        let mailbox = Mailbox::default();
         assert_eq!(mailbox.take_events(Duration::from_millis(1)), None);
-        mailbox.put_event(Event::Reset);
-        assert_eq!(mailbox.take_events(Duration::from_secs(60)), Some(VecDeque::from([Event::Reset])));
+        mailbox.put_event(RESET);
+        assert_eq!(mailbox.take_events(Duration::from_secs(60)), Some(VecDeque::from([RESET])));
         mailbox.put_scan(raw(1));
         assert_eq!(mailbox.take_events(Duration::from_secs(60)), None, "a newer scan ends the wait");
     }
 
     #[test]
     fn a_timer_is_not_held_up_where_there_is_nothing() {
-        let mailbox = Mailbox::<Input>::default();
+        let mailbox = Mailbox::default();
         assert_eq!(mailbox.take_within(Duration::from_millis(1)), Some(Work::default()));
         mailbox.put_scan(raw(1));
         assert_eq!(mailbox.take_within(Duration::from_secs(60)).unwrap().scan, Some(raw(1)));
@@ -305,7 +301,7 @@ mod tests {
 
     #[test]
     fn closing_ends_the_wait() {
-        let mailbox = Mailbox::<Input>::default();
+        let mailbox = Mailbox::default();
         std::thread::scope(|scope| {
             let waiting = scope.spawn(|| mailbox.take());
             mailbox.close();

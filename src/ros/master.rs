@@ -1,6 +1,6 @@
 //! The ROS master: waiting for it, and what to do when it goes away and comes back.
 
-use std::collections::HashSet;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
@@ -46,6 +46,17 @@ pub(super) fn resolved(ros: &Ros, name: &str) -> Result<String, NodeError> {
         .ok_or_else(|| NodeError::ros(format!("use the name '{name}'"), &problem))
 }
 
+/// What the node has registered with the master, in the order of time. There is one list for the process, as there is one node.
+static REGISTERED: Mutex<Vec<Weak<MasterRegistration>>> = Mutex::new(Vec::new());
+
+/// Notes that something is registered with the master, until the result is dropped, and sets the options of its socket.
+pub(super) fn note(ros: &Ros, registration: MasterRegistration) -> Result<Arc<MasterRegistration>, NodeError> {
+    sockets::tune(&registration.port(ros)?.into_iter().collect());
+    let registration = Arc::new(registration);
+    REGISTERED.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(&registration));
+    Ok(registration)
+}
+
 /// An entry in the registry of the master.
 pub(super) enum MasterRegistration {
     Publisher { topic: &'static str, message_type: &'static str },
@@ -55,7 +66,7 @@ pub(super) enum MasterRegistration {
 
 impl MasterRegistration {
     /// That of every node's log.
-    pub(super) const ROSOUT: Self = Self::Publisher { topic: log::ROSOUT, message_type: "rosgraph_msgs/Log" };
+    const ROSOUT: Self = Self::Publisher { topic: log::ROSOUT, message_type: "rosgraph_msgs/Log" };
 
     /// Of a service that has been offered; rosrust does not say where, but it has told the master.
     pub(super) fn of_service(ros: &Ros, name: &'static str) -> Result<Self, NodeError> {
@@ -94,31 +105,15 @@ impl MasterRegistration {
 pub(super) struct MasterLink<'a> {
     ros: &'a Ros,
     master: &'a Master,
-    registrations: Vec<MasterRegistration>,
+    /// That of the node's log.
+    _rosout: Arc<MasterRegistration>,
     present: bool,
     log: Log,
 }
 
 impl<'a> MasterLink<'a> {
-    /// A node with these registrations. Sets the options of its sockets.
-    pub(super) fn new(
-        ros: &'a Ros,
-        master: &'a Master,
-        registrations: Vec<MasterRegistration>,
-        log: &Log,
-    ) -> Result<Self, NodeError> {
-        let link = Self { ros, master, registrations, present: true, log: log.clone() };
-        let ports = link.registrations.iter().filter_map(|registration| registration.port(ros).transpose());
-        sockets::tune(&ports.collect::<Result<_, _>>()?);
-        Ok(link)
-    }
-
-    /// Adds a registration.
-    pub(super) fn add(&mut self, registration: MasterRegistration) {
-        if let Ok(Some(port)) = registration.port(self.ros) {
-            sockets::tune(&HashSet::from([port]));
-        }
-        self.registrations.push(registration);
+    pub(super) fn new(ros: &'a Ros, master: &'a Master, log: &Log) -> Result<Self, NodeError> {
+        Ok(Self { ros, master, _rosout: note(ros, MasterRegistration::ROSOUT)?, present: true, log: log.clone() })
     }
 
     /// Whether the master answered when it was last asked.
@@ -138,7 +133,11 @@ impl<'a> MasterLink<'a> {
     }
 
     fn return_to_master(&mut self) {
-        match self.registrations.iter().try_for_each(|registration| registration.register(self.ros, self.master)) {
+        let mut registered = REGISTERED.lock().unwrap_or_else(PoisonError::into_inner);
+        registered.retain(|registration| registration.strong_count() > 0);
+        let standing: Vec<_> = registered.iter().filter_map(Weak::upgrade).collect();
+        drop(registered);
+        match standing.iter().try_for_each(|registration| registration.register(self.ros, self.master)) {
             Ok(()) => self.log.info("the ROS master was started again: registered again"),
             Err(error) => {
                 self.log.warn(&format!("the ROS master was started again: {error}"));

@@ -1,17 +1,19 @@
-//! The ROS 1 nodes: the one around [`App`](crate::app::App), the particle filter, a controller, a follower of paths, and a simulator. Nothing else in this
-//! project knows of rosrust.
+//! The ROS 1 nodes: the scan matcher, with a map (`mapper`) or without, the particle filter, a controller, a follower of paths, and a
+//! simulator. Nothing else in this project knows of rosrust.
 //!
 //! ```text
-//!  reader threads             matching thread               main thread
-//!  subscriptions --> mailbox --> worker  --> publishers     supervisor: signals, diagnostics at 1 Hz, the master
-//!                              (matcher, particle_filter)
+//!  reader threads             working thread                       main thread
+//!  subscriptions --> mailbox --> worker: algorithm --> publishers   node: signals, diagnostics at 1 Hz, the master
 //! ```
+//!
+//! A node has a folder: its `worker::Algorithm`, its list of `input::Input`, its publishers. The files beside the folders are what all
+//! nodes share.
 //!
 //! Invariants: callbacks only note the arrival and fill the `mailbox`, so that nothing that is slow ever delays reception; a scan is
 //! either answered or counted as dropped; messages leave with the stamp of the scan they are about; nothing waits on ROS time, which
 //! may stand still.
 
-mod compat;
+mod context;
 pub mod contract_demo;
 mod convert;
 mod diagnostics;
@@ -23,32 +25,28 @@ mod mailbox;
 mod mapper;
 mod markers;
 mod master;
-mod matcher;
 mod node;
 mod node_api;
 mod numbering;
 mod output;
 mod params;
 pub mod particle_filter;
-mod path;
 pub mod path_follower;
 mod priority;
-mod publishers;
 pub mod racecar_sim;
 mod reader;
+mod scan_matcher;
 mod services;
-mod shell;
 mod shutdown;
 mod sink;
 mod sockets;
 mod subscriptions;
-mod supervisor;
 mod tcpros;
 mod topic_subscription;
 mod transform_output;
 mod worker;
 
-pub use node::{run, run_as_laser_scan_matcher, run_mapper};
+pub use scan_matcher::{run, run_as_laser_scan_matcher, run_mapper};
 
 use thiserror::Error;
 

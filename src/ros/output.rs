@@ -7,7 +7,7 @@ use rosrust::api::Ros;
 use rosrust::{Publisher, RawMessage, RawMessageDescription};
 
 use super::NodeError;
-use super::master::{MasterRegistration, resolved};
+use super::master::{MasterRegistration, note, resolved};
 use super::node_api::listed;
 use super::priority::urgently;
 use crate::messages::{Message, encode};
@@ -19,10 +19,10 @@ const QUEUE: usize = 100;
 ///
 /// rosrust writes the present time over stamps of zero and its own numbers over ours, so it is given bytes.
 pub(super) struct Output<T> {
-    topic: &'static str,
     resolved: String,
     publisher: Arc<Publisher<RawMessage>>,
     message: PhantomData<fn(T)>,
+    _registration: Arc<MasterRegistration>,
 }
 
 impl<T: Message> Output<T> {
@@ -38,7 +38,8 @@ impl<T: Message> Output<T> {
             .map_err(|error| NodeError::ros(format!("publish '{topic}'"), &error))?;
         let resolved = resolved(ros, topic)?;
         let publisher = listed(resolved.clone(), publisher);
-        Ok(Self { topic, resolved, publisher, message: PhantomData })
+        let registration = note(ros, MasterRegistration::Publisher { topic, message_type: T::TYPE })?;
+        Ok(Self { resolved, publisher, message: PhantomData, _registration: registration })
     }
 
     /// A topic of what a controller waits for: the thread that writes its messages goes before all programs of normal priority.
@@ -69,10 +70,5 @@ impl<T: Message> Output<T> {
     pub(super) fn keep(&self, message: &T) {
         // Neither can fail: the one writes to memory, the other only queues.
         let _ = self.publisher.send(RawMessage(encode(message).unwrap_or_default()));
-    }
-
-    /// How it is registered with the master.
-    pub(super) fn registration(&self) -> MasterRegistration {
-        MasterRegistration::Publisher { topic: self.topic, message_type: T::TYPE }
     }
 }

@@ -1,6 +1,6 @@
 //! Decodes messages, and warns of those that cannot be used, at most once a second for each subject.
 
-use std::error::Error;
+use std::fmt::Display;
 use std::sync::Arc;
 
 use super::diagnostics::Monitor;
@@ -13,19 +13,14 @@ use crate::messages::{Message, decode};
 pub(super) struct Reader {
     clock: Arc<dyn Clock>,
     log: Log,
-    /// Counts the messages that are rejected.
-    monitor: Option<Arc<Monitor>>,
+    monitor: Arc<Monitor>,
     throttle: Throttle,
 }
 
 impl Reader {
-    pub(super) fn new(clock: &Arc<dyn Clock>, log: &Log) -> Self {
-        Self { clock: Arc::clone(clock), log: log.clone(), monitor: None, throttle: Throttle::default() }
-    }
-
-    /// The same; rejected messages are counted.
-    pub(super) fn counting(self, monitor: &Arc<Monitor>) -> Self {
-        Self { monitor: Some(Arc::clone(monitor)), ..self }
+    /// Messages that are rejected are counted by `monitor`.
+    pub(super) fn new(clock: &Arc<dyn Clock>, log: &Log, monitor: &Arc<Monitor>) -> Self {
+        Self { clock: Arc::clone(clock), log: log.clone(), monitor: Arc::clone(monitor), throttle: Throttle::default() }
     }
 
     /// Decodes a message. `subject`: its name in the warning if that fails.
@@ -34,10 +29,8 @@ impl Reader {
     }
 
     /// Counts a message that is rejected, and warns.
-    pub(super) fn refuse(&mut self, subject: &'static str, sender: &str, problem: &dyn Error) {
-        if let Some(monitor) = &self.monitor {
-            monitor.count_refused();
-        }
+    pub(super) fn refuse(&mut self, subject: &'static str, sender: &str, problem: &dyn Display) {
+        self.monitor.count_refused();
         self.warn(subject, &format!("a message from {sender} is refused: {problem}"));
     }
 

@@ -11,8 +11,8 @@ use rosrust_msg::nav_msgs::{GetMap, GetMapRes};
 use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
-use super::mailbox::{Event, Mailbox};
-use super::master::MasterRegistration;
+use super::mailbox::{Event, Mailbox, Request};
+use super::master::{MasterRegistration, note};
 use crate::messages::{encode, nav_msgs};
 
 /// Longest wait for the matching thread, which may be amid a long match.
@@ -23,8 +23,8 @@ pub(super) type Reply = Result<String, String>;
 
 /// A service that can be called until this is dropped.
 pub(super) struct Service {
-    name: &'static str,
     _offered: rosrust::Service,
+    _registration: Arc<MasterRegistration>,
 }
 
 impl Service {
@@ -33,45 +33,32 @@ impl Service {
             let reply = act();
             Ok(TriggerRes { success: reply.is_ok(), message: reply.unwrap_or_else(|problem| problem) })
         };
-        Self::of(name, ros.service::<Trigger, _>(name, handle))
+        Self::of(ros, name, ros.service::<Trigger, _>(name, handle))
     }
 
-    fn of<E: std::fmt::Display>(name: &'static str, offered: Result<rosrust::Service, E>) -> Result<Self, NodeError> {
+    fn of<E: std::fmt::Display>(ros: &Ros, name: &'static str, offered: Result<rosrust::Service, E>) -> Result<Self, NodeError> {
         let failed = |error| NodeError::ros(format!("offer the service '{name}'"), &error);
-        Ok(Self { name, _offered: offered.map_err(failed)? })
-    }
-
-    /// How it is registered with the master.
-    pub(super) fn registration(&self, ros: &Ros) -> Result<MasterRegistration, NodeError> {
-        MasterRegistration::of_service(ros, self.name)
+        let offered = offered.map_err(failed)?;
+        Ok(Self { _offered: offered, _registration: note(ros, MasterRegistration::of_service(ros, name)?)? })
     }
 }
 
-/// A service that acts and answers.
-pub(super) fn trigger(
-    ros: &Ros,
-    name: &'static str,
-    act: impl Fn() -> Reply + Send + Sync + 'static,
-) -> Result<Service, NodeError> {
-    Service::offer(ros, name, act)
-}
-
-/// A service that puts [`Event::Reset`] into the mailbox and answers in these words.
-pub(super) fn reset<I: Send + 'static>(
+/// A service that puts [`Request::Reset`] into the mailbox and answers in these words.
+pub(super) fn reset(
     ros: &Ros,
     (name, answer): (&'static str, &'static str),
-    mailbox: &Arc<Mailbox<I>>,
+    mailbox: &Arc<Mailbox>,
 ) -> Result<Service, NodeError> {
     let mailbox = Arc::clone(mailbox);
     Service::offer(ros, name, move || {
-        mailbox.put_event(Event::Reset);
+        mailbox.put_event(Event::Request(Request::Reset));
         Ok(answer.into())
     })
 }
 
 /// A service that answers with this map.
 pub(super) fn static_map(ros: &Ros, name: &'static str, answer: GetMapRes) -> Result<Service, NodeError> {
-    Service::of(name, ros.service::<GetMap, _>(name, move |_| Ok(answer.clone())))
+    Service::of(ros, name, ros.service::<GetMap, _>(name, move |_| Ok(answer.clone())))
 }
 
 /// The map that was made last, if there is one yet.
@@ -83,7 +70,7 @@ pub(super) fn map(ros: &Ros, name: &'static str, last: LastMap) -> Result<Servic
         let last = last.lock().unwrap_or_else(PoisonError::into_inner).clone();
         map_response(&last.ok_or("there is no map yet: no scan has been drawn")?)
     };
-    Service::of(name, ros.service::<GetMap, _>(name, answer))
+    Service::of(ros, name, ros.service::<GetMap, _>(name, answer))
 }
 
 /// The same message in rosrust's own type, by way of the wire form that they share.
@@ -108,17 +95,14 @@ pub(super) fn ordered<O: Send + 'static>(
     })
 }
 
-/// The service that puts [`Event::SaveProfile`] into the mailbox, and by what it is to be answered.
-pub(super) fn save_profile<I: Send + 'static>(
-    ros: &Ros,
-    mailbox: &Arc<Mailbox<I>>,
-) -> Result<(Service, Sender<Reply>), NodeError> {
+/// The service that puts [`Request::SaveProfile`] into the mailbox, and by what it is to be answered.
+pub(super) fn save_profile(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<(Service, Sender<Reply>), NodeError> {
     let (mailbox, (sender, replies)) = (Arc::clone(mailbox), channel());
     let replies = Mutex::new(replies);
     let save = move || {
         let replies = replies.lock().unwrap_or_else(PoisonError::into_inner);
         while replies.try_recv().is_ok() {} // late replies to earlier calls
-        mailbox.put_event(Event::SaveProfile);
+        mailbox.put_event(Event::Request(Request::SaveProfile));
         replies.recv_timeout(TIMEOUT).unwrap_or_else(|_| Err("the matching is too busy: try again".into()))
     };
     Ok((Service::offer(ros, "~save_profile", save)?, sender))

@@ -6,7 +6,6 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use rosrust::api::Ros;
 
 use super::NodeError;
-use super::master::MasterRegistration;
 use super::output::Output;
 use crate::messages::geometry_msgs::TransformStamped;
 use crate::messages::tf2_msgs::TFMessage;
@@ -78,11 +77,6 @@ impl TransformOutput {
         if let Some(output) = output {
             output.send(|| TFMessage { transforms: transforms().into_iter().filter(is_on).collect() });
         }
-    }
-
-    /// How it is registered with the master.
-    pub(super) fn registration(&self) -> Option<MasterRegistration> {
-        self.lock().output.as_ref().map(Output::registration)
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {

@@ -5,7 +5,7 @@ use crate::geometry::Point;
 use super::rays::Rays;
 
 /// A place with walls.
-pub trait World {
+pub trait World: Sync {
     /// Distance from `origin` along the unit vector `direction` to the nearest wall, m; `None` if there is none within `max`.
     fn range(&self, origin: Point, direction: Point, max: f64) -> Option<f64>;
 

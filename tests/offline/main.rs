@@ -30,6 +30,7 @@ mod odometry_frames;
 mod plotjuggler;
 mod profile;
 mod raycasting;
+mod refinement;
 mod replay;
 #[cfg(target_os = "linux")]
 mod shared_memory;

@@ -8,9 +8,9 @@ use plotters::prelude::*;
 
 use super::{Canvas, DrawError, style};
 
-/// Air beyond the outermost values, as a part of what they span.
+/// Margin beyond the outermost values, as a part of their range.
 const AIR: f64 = 0.08;
-/// Fewer ticks than this do not tell the scale.
+/// Fewer ticks than this do not show the scale.
 const FEWEST_TICKS: usize = 3;
 
 /// How values lie along an axis.
@@ -30,7 +30,7 @@ impl Scale {
         value.is_finite() && (self != Self::Logarithmic || value > 0.0)
     }
 
-    /// The axis on which `values` are in view, with air around them.
+    /// The axis on which `values` are in view, with a margin around them.
     pub(super) fn axis(self, values: impl Iterator<Item = f64>) -> Axis {
         let held = values.filter(|&v| self.holds(v)).map(|v| if self == Self::Logarithmic { v.ln() } else { v });
         let origin = if self == Self::FromZero { (0.0, 0.0) } else { (f64::INFINITY, f64::NEG_INFINITY) };

@@ -27,7 +27,7 @@ use top_view::TopView;
 /// Why a picture was not made.
 #[derive(Debug, Error)]
 pub enum PlotError {
-    /// Estimate and truth hardly meet in time.
+    /// Estimate and truth hardly overlap in time.
     #[error(transparent)]
     Association(#[from] AssociationError),
     /// Coordinates or errors near the end of the number range.

@@ -20,7 +20,7 @@ const CELL: f64 = 3.0;
 const START: Look = Look::discs(Colour::Green, 12);
 const END: Look = Look::discs(Colour::Vermilion, 12);
 
-/// A way through the plane.
+/// A path in the plane.
 #[derive(Clone, Debug)]
 pub struct Path {
     /// The name in the legend; paths of one name share an entry.
@@ -31,7 +31,7 @@ pub struct Path {
     pub points: Vec<Point>,
 }
 
-/// All that is seen from above, in one frame.
+/// Everything in the top view, in one frame.
 pub(super) struct TopView {
     /// The last one on top, with marks at its ends.
     pub(super) paths: Vec<Path>,
@@ -70,7 +70,7 @@ impl TopView {
         Window { x: around(&x, width), y: around(&y, height), height: height as u32, metres_per_pixel }
     }
 
-    /// What has to be in view along one axis, with some air: the paths whole, of the scans all but the outermost 1 %.
+    /// What has to be in view along one axis, with a margin: the paths whole, of the scans all but the outermost 1 %.
     fn extent(&self, coordinate: fn(&Point) -> f64) -> Range<f64> {
         let mut scans: Vec<f64> = self.scan_points.iter().map(coordinate).collect();
         scans.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! Chunks: the packed runs of messages that a bag consists of.
+//! Chunks: the compressed blocks of messages that a bag consists of.
 
 use std::collections::BTreeMap;
 use std::fs::File;

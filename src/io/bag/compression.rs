@@ -1,11 +1,11 @@
-//! The three ways in which chunks are packed.
+//! How chunks are compressed: not at all, by bzip2, by LZ4.
 
 use std::io::{self, Read, Write};
 
 use lz4_flex::frame::{BlockMode, BlockSize, FrameDecoder, FrameEncoder, FrameInfo};
 
 crate::choices! {
-    /// How the chunks of a bag are packed.
+    /// Compression of the chunks of a bag.
     pub enum Compression {
         /// Not at all: fastest to write.
         None = "none",

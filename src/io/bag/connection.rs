@@ -6,7 +6,7 @@ use crate::messages::Message;
 
 use super::record::Fields;
 
-/// What stands where a type or a checksum is not known.
+/// Placeholder for an unknown type or checksum.
 const UNKNOWN: Cow<'static, str> = Cow::Borrowed("*");
 
 /// One publisher's messages on one topic. A topic that several nodes publish has several connections.

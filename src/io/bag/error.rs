@@ -1,4 +1,4 @@
-//! What can be wrong with a bag: errors stop the reading, problems are losses it survives.
+//! What can be wrong with a bag: errors end the reading, problems are losses after which it continues.
 
 use std::fmt;
 use std::io;
@@ -40,7 +40,7 @@ pub enum BagError {
         /// What to do about it.
         remedy: &'static str,
     },
-    /// Nothing was recorded under that name.
+    /// The bag has no such topic.
     #[error("{}: there is no topic {topic}; {alternatives}", path.display())]
     NoSuchTopic {
         /// The file.
@@ -106,7 +106,7 @@ pub enum BagError {
 }
 
 impl BagError {
-    /// For `map_err` around an operation of the file system.
+    /// For `map_err` after a file operation.
     pub(super) fn io<'a>(path: &'a Path, action: &'static str) -> impl FnOnce(io::Error) -> Self + use<'a> {
         move |source| Self::Io { path: path.to_path_buf(), action, source }
     }

@@ -10,13 +10,13 @@ use super::connection::Connection;
 use super::error::{BagProblem, COPY_AGAIN, REINDEX};
 use super::record::{Fields, op, stamp_from_bytes};
 
-/// Largest record header believed. Real ones are far below 1 KiB: the longest text in them is a topic.
+/// Largest record header accepted. Real ones are far below 1 KiB: the longest text in them is a topic.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
-/// Largest connection record believed. Its longest text is a message definition.
+/// Largest connection record accepted. Its longest text is a message definition.
 const MAX_CONNECTION_BYTES: u64 = 1 << 24;
 /// Time and place of a message in an index record.
 const INDEX_ENTRY_BYTES: u64 = 12;
-/// A file of garbage would give a problem every few bytes.
+/// Problems reported at most: a file of garbage has one every few bytes.
 pub(super) const MAX_PROBLEMS: usize = 100;
 
 /// What the records outside of the chunks tell.
@@ -68,7 +68,7 @@ struct Promised {
     connections: u32,
 }
 
-/// Why the pass ends early.
+/// Why the pass ended early.
 enum Stop {
     Io(io::Error),
     Damage(String),
@@ -92,7 +92,7 @@ struct Pass<'f> {
     len: u64,
     promised: Promised,
     chunk_infos: usize,
-    /// Where one can go on after damage; `None` as long as there was none.
+    /// Where reading can resume after damage; `None` while there was none.
     landmarks: Option<Vec<u64>>,
     layout: Layout,
 }

@@ -109,7 +109,7 @@ impl<'bag> Messages<'bag> {
         Ok(())
     }
 
-    /// Takes account of `bytes` more to hold, at the expense of the chunks needed latest.
+    /// Counts `bytes` more in memory; above the limit, drops the chunks that are needed last.
     fn make_room(&mut self, bytes: usize) {
         self.held += bytes;
         while self.held > MAX_HELD_BYTES {
@@ -146,7 +146,7 @@ impl<'bag> Iterator for Messages<'bag> {
     fn next(&mut self) -> Option<Self::Item> {
         let item = self.read_next().transpose();
         if matches!(item, Some(Err(_))) {
-            // What the file system refused once it refuses again: the iteration ends here.
+            // A file system error would only repeat: the iteration ends here.
             self.waiting.clear();
             self.next.clear();
         }

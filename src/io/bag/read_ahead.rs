@@ -1,4 +1,4 @@
-//! Chunks unpacked ahead on other cores: unpacking bz2 takes longer than matching what comes out of it.
+//! Decompresses chunks ahead on other cores: decompressing bz2 takes longer than matching the scans in it.
 
 use std::collections::VecDeque;
 use std::num::NonZero;
@@ -15,7 +15,7 @@ use super::reader::Bag;
 const CHUNKS_PER_CORE: usize = 2;
 /// Bytes that they take at most; one chunk may take more.
 const MAX_BYTES: u64 = 64 << 20;
-/// Cores used at most: more are faster than anything that takes the messages.
+/// Cores used at most: with more, decompression is faster than anything that consumes the messages.
 const MAX_CORES: usize = 4;
 
 /// Gives the chunks of a bag in a given order. The file is read here and now, in that order; other threads unpack what was read, and so does
@@ -84,7 +84,7 @@ struct Workers {
 }
 
 impl Workers {
-    /// One for each core but that of who asks. Where the system gives no thread, who asks does it all.
+    /// One for each core but the caller's. If no thread can be started, the caller does all the work.
     fn new(cores: usize) -> Self {
         let queue = Arc::<Queue>::default();
         for _ in 1..cores {
@@ -101,7 +101,7 @@ impl Workers {
         receiver
     }
 
-    /// Waits for a content, working on what nobody has begun. `None`: the thread that had it has died.
+    /// Waits for the content of a chunk and decompresses others meanwhile. `None`: the thread that had it has died.
     fn await_content(&self, receiver: &Receiver<Content>) -> Option<Content> {
         loop {
             match receiver.try_recv() {
@@ -122,14 +122,14 @@ impl Drop for Workers {
     }
 }
 
-/// A chunk to unpack, and who wants it.
+/// A chunk to decompress, and where its content goes.
 struct Job {
     packed: PackedChunk,
     sender: SyncSender<Content>,
 }
 
 impl Job {
-    /// Whether anybody still wants it.
+    /// Whether its content is still wanted.
     fn finish(self) -> bool {
         self.sender.send(self.packed.unpack()).is_ok()
     }

@@ -17,7 +17,7 @@ use super::error::{BagError, BagProblem, COPY_AGAIN};
 use super::layout::{Layout, MAX_PROBLEMS};
 use super::record::MAGIC;
 
-/// Bytes that tell what a file is.
+/// Bytes read to identify the format of a file.
 const LONGEST_MAGIC: u64 = 32;
 
 /// A bag opened for reading.
@@ -46,7 +46,7 @@ pub struct Bag {
 }
 
 impl Bag {
-    /// Opens a bag and finds out what it holds. Unpacks only the chunks that the index does not describe.
+    /// Opens a bag and reads its index. Decompresses only the chunks that the index does not describe.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, BagError> {
         let path = path.as_ref();
         let mut file = File::open(path).map_err(BagError::io(path, "open"))?;
@@ -114,7 +114,7 @@ impl Bag {
         self.chunks[i].read(&mut self.file.borrow_mut()).map_err(BagError::io(&self.path, "read"))
     }
 
-    /// Takes note of what could not be read of a chunk.
+    /// Records what could not be read of a chunk.
     pub(super) fn note_problem(&self, mut content: Content) -> Content {
         if let Some(problem) = content.problem.take() {
             self.add_problem(problem);
@@ -148,12 +148,12 @@ impl Bag {
         &self.connections
     }
 
-    /// The losses found so far: on opening those of the bag's structure, while reading messages those inside chunks.
+    /// The problems found so far: those of the bag's structure when it is opened, those inside chunks as messages are read.
     pub fn problems(&self) -> Ref<'_, [BagProblem]> {
         Ref::map(self.problems.borrow(), Vec::as_slice)
     }
 
-    /// Number of chunks by the way they are packed.
+    /// Number of chunks by compression.
     pub fn compressions(&self) -> Vec<(Compression, usize)> {
         let count = |kind| self.chunks.iter().filter(|chunk| chunk.compression == kind).count();
         Compression::ALL.iter().map(|&kind| (kind, count(kind))).filter(|(_, chunks)| *chunks > 0).collect()

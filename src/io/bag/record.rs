@@ -5,7 +5,7 @@ use std::borrow::Cow;
 
 use crate::time::Stamp;
 
-/// What every bag of this format begins with.
+/// The first line of every bag of this format.
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 
 /// The kinds of records, as the header field `op` has them.

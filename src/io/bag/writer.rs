@@ -205,7 +205,7 @@ impl BagWriter {
 impl Drop for BagWriter {
     fn drop(&mut self) {
         if !self.finished {
-            // Nobody is left to hear of an error.
+            // An error cannot be reported from here.
             let _ = self.close_chunk();
         }
     }

@@ -1,11 +1,11 @@
-//! Stamps out of order, mended.
+//! Repairs stamps that are out of order.
 //!
 //! Lines are written in the order in which things happened, but stamped by a clock that was set back, or read late. The stamps in
 //! order that are nearest to those of the log, by least squares, come from pooling adjacent violators (Ayer et al., 1955).
 
 use crate::time::Stamp;
 
-/// Mended stamps are at least this far apart, s, or half the mean spacing if that is less.
+/// Repaired stamps are at least this far apart, s, or half the mean spacing if that is less.
 const SPACING: f64 = 0.02;
 
 /// Stamps that count as one block: their mean, after every stamp was shifted so that spacing counts as none.

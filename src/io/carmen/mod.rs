@@ -1,6 +1,6 @@
 //! CARMEN logs: text with one message on each line, packed with bzip2 or gzip, or not.
 //!
-//! The public logs of the field are of many hands: this reader takes what it can use, counts what it leaves out, and says where.
+//! Public logs come from many programs: this reader uses what it can, and counts and locates what it skips.
 
 mod clock;
 mod line;
@@ -27,14 +27,14 @@ const ERROR_CODES: f64 = 80.0;
 /// When more than this part of a log's readings are the largest one, it stands for "nothing seen".
 const NOTHING_SEEN: f64 = 1e-3;
 
-/// Where the robot was by its wheels.
+/// A pose by wheel odometry.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CarmenOdometry {
     /// When.
     pub stamp: Stamp,
     /// Where.
     pub odom_from_base: Pose2,
-    /// Speed, m/s, and yaw rate, rad/s, as far as the line tells.
+    /// Speed, m/s, and yaw rate, rad/s, where the line has them.
     pub velocity: Option<(f64, f64)>,
 }
 
@@ -51,18 +51,18 @@ pub struct CarmenScan {
     pub angle_min: f64,
     /// Angle from beam to beam, rad.
     pub angle_increment: f64,
-    /// Readings of this and above saw nothing, m; `None` where the line does not tell.
+    /// Readings of this and above are misses, m; `None` where the line does not say.
     pub nothing_seen: Option<f64>,
     /// Readings, m.
     pub ranges: Vec<f32>,
 }
 
-/// What a log holds. Its lines are in the order of time; stamps that say otherwise are mended.
+/// What a log holds. Its lines are in the order of time; stamps that are out of order are repaired.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CarmenLog {
     /// The scans of the front laser.
     pub scans: Vec<CarmenScan>,
-    /// What the wheels said between the scans.
+    /// Wheel odometry between the scans.
     pub odometry: Vec<CarmenOdometry>,
     /// What was done to the stamps of the scans.
     pub mended: Mended,
@@ -79,11 +79,11 @@ pub struct CarmenLog {
 pub enum Mount {
     /// All scans agree.
     Scans(Pose2),
-    /// The scans do not, but a `PARAM` line tells.
+    /// The scans do not agree, but a `PARAM` line says it.
     Parameter(Pose2),
-    /// The scans do not tell where they were taken, and nothing else does: taken to be in the centre of the robot.
+    /// The scans have no poses, and there is no `PARAM` line: assumed at the centre of the robot.
     Untold,
-    /// Nothing tells: taken to be in the centre of the robot.
+    /// Unknown: assumed at the centre of the robot.
     Unknown,
 }
 
@@ -124,7 +124,7 @@ impl CarmenLog {
         if robot_lasers.len() >= log.scans.len() {
             log.scans = robot_lasers;
         }
-        // Scans without poses are of use where there are no others.
+        // Scans without poses are used where there are no others.
         if log.scans.is_empty() {
             log.scans = raw_lasers;
         } else if !raw_lasers.is_empty() {
@@ -158,7 +158,7 @@ impl CarmenLog {
         }
     }
 
-    /// Whether the scans tell where the robot was.
+    /// Whether the scans have poses of the robot.
     fn has_poses(&self) -> bool {
         self.scans.iter().all(|scan| scan.posed)
     }

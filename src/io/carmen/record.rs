@@ -12,7 +12,7 @@ use crate::simulation::lidar::LASER_FRAME;
 use crate::simulation::odometer::{BASE_FRAME, ODOM_FRAME};
 use crate::time::Stamp;
 
-/// Nearest distance taken for one, m: logs have 0 for "no reading".
+/// Shortest reading accepted as a distance, m: logs use 0 for "no reading".
 const RANGE_MIN: f32 = 0.1;
 
 /// Writes the log. Odometry is what the scan lines carry, at their stamps: the robot's own pairing of the two. Logs whose scan lines
@@ -63,7 +63,7 @@ fn scan_message(scan: &CarmenScan, limit: f64, scan_time: f64) -> LaserScan {
         angle_increment,
         scan_time: scan_time as f32,
         range_min: RANGE_MIN,
-        // Readings at the limit saw nothing.
+        // Readings at the limit are misses.
         range_max: (scan.nothing_seen.unwrap_or(limit) as f32).next_down(),
         ranges: scan.ranges.clone(),
         ..LaserScan::default()

@@ -575,3 +575,6 @@ impl Pairing for Projective {
         }
     }
 }
+
+#[cfg(test)]
+mod specification;

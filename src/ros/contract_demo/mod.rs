@@ -12,11 +12,16 @@ mod controller;
 mod row;
 mod schedule;
 
+use std::time::Duration;
+
 use rosrust::api::{Master, Ros};
 
 use self::controller::Controller;
+use super::context::Shared;
+use super::node::{self, NodeParts};
 use super::shutdown::StopSignal;
-use super::{NodeError, params, shell};
+use super::{NodeError, params};
+use crate::anytime::timer::Timer;
 use crate::knobs::Seconds;
 
 const NAME: &str = "contract_demo";
@@ -51,12 +56,19 @@ crate::knobs! {
 /// Runs the node `contract_demo` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
 /// parameters.
 pub fn run() -> Result<(), NodeError> {
-    shell::run(NAME, serve)
+    node::run(NAME, serve)
 }
 
 fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
     let knobs: ContractDemoKnobs = params::read_group(master, ros.name())?;
     let policy = asking::policy(&knobs).map_err(|(parameter, problem)| params::refused(ros.name(), parameter, problem))?;
-    Controller::start(ros, master, policy, &knobs)?.run(stop);
-    Ok(())
+    let parts = NodeParts::new(ros, master)?;
+    let Shared { clock, log, .. } = parts.shared.clone();
+    let in_words = controller::in_words(&policy);
+    let controller = Controller::new(ros, &clock, policy, &knobs)?;
+    let period = Duration::from_secs_f64(knobs.log_period.0);
+    let timer = Timer::new(period, clock.now() + period);
+    let node = parts.build("controlling", controller, Controller::inputs(), Some(timer))?;
+    log.info(&in_words);
+    node.run(stop, || ())
 }

@@ -6,7 +6,7 @@ use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use super::feed::{Order, Place};
-use super::outlets::Outlets;
+use super::publishers::Publishers;
 use crate::anytime::clock::Clock;
 use crate::config::Config;
 use crate::io::map_files::{MapFiles, MapPaths};
@@ -18,21 +18,21 @@ use crate::ros::services::Reply;
 use crate::scan::{Scan, Sectors};
 use crate::time::Stamp;
 
-/// From one map that is published to the next at least, ...
+/// Least time from one published map to the next, ...
 const PERIOD: Duration = Duration::from_secs(1);
-/// ... and so many times as long as it takes to make one: a great map is a twentieth of the work at most.
+/// ... as a multiple of the time that making one takes, too: publishing is a twentieth of the work at most.
 const PERIODS_OF_WORK: u32 = 20;
 /// Scans drawn at once: some milliseconds.
 const PORTION: usize = 16;
-/// A map that is not all drawn waits for so long.
-const PATIENCE: Duration = Duration::from_secs(5);
+/// An incomplete map is published after this time at the latest.
+const MAX_DELAY: Duration = Duration::from_secs(5);
 
 /// Everything the mapping thread owns.
 pub(super) struct MapMaker {
     config: Config,
     clock: Arc<dyn Clock>,
     log: Log,
-    outlets: Outlets,
+    publishers: Publishers,
     place: Place,
     map: LiveMap,
     /// Number of the odometry's run.
@@ -49,14 +49,14 @@ pub(super) struct MapMaker {
 }
 
 impl MapMaker {
-    pub(super) fn new(config: Config, clock: Arc<dyn Clock>, log: Log, outlets: Outlets, place: Place) -> Self {
+    pub(super) fn new(config: Config, clock: Arc<dyn Clock>, log: Log, publishers: Publishers, place: Place) -> Self {
         let map = LiveMap::new(&config.matching, &config.rejection, config.mapping.resolution);
         let (run, stamp, next) = (0, Stamp::default(), Duration::ZERO);
         Self {
             config,
             clock,
             log,
-            outlets,
+            publishers,
             place,
             map,
             run,
@@ -119,16 +119,16 @@ impl MapMaker {
     /// A map that is being drawn anew is not shown half done, if it takes no longer than that.
     fn publish(&mut self) {
         let begun = self.clock.now();
-        if begun < self.next || (self.has_more && begun < self.next + PATIENCE) {
+        if begun < self.next || (self.has_more && begun < self.next + MAX_DELAY) {
             return;
         }
         if std::mem::take(&mut self.is_graph_new) {
-            self.outlets.publish_graph(self.map.mapper(), self.stamp);
+            self.publishers.publish_graph(self.map.mapper(), self.stamp);
             self.tell_first_loop();
         }
         let grid = self.map.changed_grid().and_then(EvidenceGrid::to_map);
         match grid {
-            Some(Ok(grid)) => self.outlets.publish_map(&grid, self.stamp),
+            Some(Ok(grid)) => self.publishers.publish_map(&grid, self.stamp),
             Some(Err(problem)) => self.log.error(&format!("the map cannot be published: {problem}")),
             None => {}
         }
@@ -140,7 +140,7 @@ impl MapMaker {
     fn tell_first_loop(&mut self) {
         if !self.has_told_loop && self.map.mapper().progress().loops > 0 {
             self.has_told_loop = true;
-            self.log.info("a place of earlier is recognised: the map is put right by it, and so it will be from now on");
+            self.log.info("the first loop is closed: the map is corrected by it, and by those to come");
         }
     }
 

@@ -13,7 +13,7 @@
 mod convert;
 mod feed;
 mod maker;
-mod outlets;
+mod publishers;
 
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
@@ -24,13 +24,10 @@ use rosrust::api::Ros;
 pub(super) use self::feed::MapFeed;
 use self::feed::Order;
 use self::maker::MapMaker;
-use self::outlets::Outlets;
-use super::diagnostics::Monitor;
-use super::log::Log;
-use super::master::MasterRegistration;
+use self::publishers::Publishers;
+use super::context::Shared;
 use super::services::{self, Service};
-use super::{NodeError, params, supervisor};
-use crate::anytime::clock::Clock;
+use super::{NodeError, node, params};
 use crate::config::Config;
 use crate::geometry::Pose2;
 
@@ -61,32 +58,23 @@ pub(super) struct Mapping {
     orders: SyncSender<Order>,
     thread: JoinHandle<()>,
     pub(super) services: Vec<Service>,
-    /// How its topics are registered with the master.
-    pub(super) registrations: Vec<MasterRegistration>,
     /// What the matcher hands its answers to.
     pub(super) feed: Option<MapFeed>,
 }
 
 impl Mapping {
-    pub(super) fn start(
-        ros: &Ros,
-        config: &Config,
-        clock: &Arc<dyn Clock>,
-        monitor: &Arc<Monitor>,
-        log: &Log,
-    ) -> Result<Self, NodeError> {
+    pub(super) fn start(ros: &Ros, config: &Config, shared: &Shared) -> Result<Self, NodeError> {
         let (orders, received) = sync_channel(CAPACITY);
         let place = Arc::new(Mutex::new((0, Pose2::IDENTITY)));
-        let outlets = Outlets::new(ros, &config.frames.map_frame)?;
-        let registrations = outlets.registrations();
+        let publishers = Publishers::new(ros, &config.frames.map_frame)?;
         let services = vec![
-            services::map(ros, "dynamic_map", outlets.last_map())?,
+            services::map(ros, "dynamic_map", publishers.last_map())?,
             services::ordered(ros, "~save_map", orders.clone(), Order::Save)?,
         ];
-        let feed = MapFeed::new(orders.clone(), Arc::clone(&place), Arc::clone(monitor));
-        let (config, clock, log) = (config.clone(), Arc::clone(clock), log.clone());
-        let thread = supervisor::spawn("mapping", move || MapMaker::new(config, clock, log, outlets, place).run(&received))?;
-        Ok(Self { orders, thread, services, registrations, feed: Some(feed) })
+        let feed = MapFeed::new(orders.clone(), Arc::clone(&place), Arc::clone(&shared.monitor));
+        let (config, clock, log) = (config.clone(), Arc::clone(&shared.clock), shared.log.clone());
+        let thread = node::spawn("mapping", move || MapMaker::new(config, clock, log, publishers, place).run(&received))?;
+        Ok(Self { orders, thread, services, feed: Some(feed) })
     }
 
     /// Ends the mapping once the matcher has ended, and waits until the map is saved, if it is to be.

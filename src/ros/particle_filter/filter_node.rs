@@ -4,29 +4,29 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::convert::Placed;
-use super::input::Input;
 use super::publishers::Publishers;
 use crate::anytime::interrupt::Interrupt;
 use crate::app::localizer::{Fix, Localizer, LocalizerError};
+use crate::app::map_message::{self, MapMessageError};
 use crate::app::sensed::Sensed;
-use crate::app::{Answering as _, InputError, map_message};
+use crate::app::{Answering as _, InputError};
 use crate::config::Config;
 use crate::geometry::PoseCovariance;
 use crate::localization::estimate::Belief;
 use crate::map::grid::OccupancyGrid;
+use crate::messages::nav_msgs;
 use crate::messages::own::Contract;
 use crate::messages::tf2_msgs::TFMessage;
-use crate::messages::{Message, nav_msgs};
+use crate::ros::context::Context;
 use crate::ros::diagnostics::{Sample, TRANSFORM_WITHHELD};
-use crate::ros::mailbox::{Event, NextScan};
+use crate::ros::input::Input;
+use crate::ros::mailbox::{NextScan, Request};
 use crate::ros::priority::let_writers_go_first;
 use crate::ros::sink::RawMessage;
 use crate::ros::transform_output::ConflictingPublisher;
-use crate::ros::worker::{self, Estimator, NodeInput as _};
+use crate::ros::worker::Algorithm;
 use crate::time::Stamp;
 use crate::transforms::TransformTree;
-
-type Desk = worker::Desk<Input>;
 
 /// Who publishes the same transform for longer than this does not give way to this node.
 const CONFLICT_TIMEOUT: Duration = Duration::from_secs(2);
@@ -67,139 +67,133 @@ impl FilterNode {
         }
     }
 
+    /// The topics it reads: point clouds or scans. What needs the map is passed over before there is one.
+    pub(super) fn inputs(are_clouds: bool) -> Vec<Input<Self>> {
+        vec![
+            Input::scans(are_clouds),
+            Input::interrupts(),
+            Input::of("odom", |node: &mut Self, message| node.with_map(|localizer| localizer.on_odometry(message))),
+            Input::with_context("map", Self::on_map),
+            Input::with_context("initialpose", |node: &mut Self, message, raw, _| {
+                node.with_map(|localizer| localizer.on_initial_pose(message, raw.arrival))
+            }),
+            Input::of("clicked_point", |node: &mut Self, message| node.with_map(|localizer| localizer.on_clicked_point(message))),
+            Input::of("icp_contract", Self::on_contract),
+            Input::with_context("/tf", Self::on_transforms),
+            Input::with_context("/tf_static", Self::on_transforms),
+        ]
+    }
+
+    /// Hands a message on; before there is a map it is not needed.
+    fn with_map(&mut self, take: impl FnOnce(&mut Localizer) -> Result<(), InputError>) -> Result<(), InputError> {
+        self.localizer.as_mut().map_or(Ok(()), take)
+    }
+
+    fn on_map(
+        &mut self,
+        message: &nav_msgs::OccupancyGrid,
+        _: &RawMessage,
+        context: &mut Context,
+    ) -> Result<(), MapMessageError> {
+        self.set_map(map_message::grid(message)?, context);
+        Ok(())
+    }
+
+    fn on_contract(&mut self, contract: &Contract) -> Result<(), InputError> {
+        if self.localizer.is_none() {
+            self.contract = Some(contract.clone());
+        }
+        self.with_map(|localizer| localizer.on_contract(contract))
+    }
+
+    fn on_transforms(&mut self, message: &TFMessage, raw: &RawMessage, context: &mut Context) -> Result<(), InputError> {
+        self.give_way(message, &raw.sender, context);
+        if self.localizer.is_none() {
+            self.transforms.add(message);
+        }
+        self.with_map(|localizer| localizer.on_transforms(message))
+    }
+
     /// A map that comes again, as a latched one does, changes nothing.
-    fn set_map(&mut self, map: OccupancyGrid, desk: &mut Desk) {
+    fn set_map(&mut self, map: OccupancyGrid, context: &mut Context) {
         if self.localizer.as_ref().is_some_and(|localizer| *localizer.filter().map() == map) {
             return;
         }
         let size = format!("{} x {} cells of {} m", map.width(), map.height(), map.resolution());
         let outcome = match &mut self.localizer {
             Some(localizer) => localizer.replace_map(map),
-            None => self.begin_on(map, desk),
+            None => self.begin_on(map, context),
         };
         match outcome {
             Ok(()) => {
-                desk.monitor.set_condition(NO_MAP, false);
-                desk.log.info(&format!("has a map of {size}"));
+                context.monitor.set_condition(NO_MAP, false);
+                context.log.info(&format!("has a map of {size}"));
             }
-            Err(error) => desk.log.error(&format!("the map of {size} is unusable: {error}")),
+            Err(error) => context.log.error(&format!("the map of {size} is unusable: {error}")),
         }
     }
 
-    fn begin_on(&mut self, map: OccupancyGrid, desk: &mut Desk) -> Result<(), LocalizerError> {
-        let mut localizer = Localizer::new(map, &self.config, Arc::clone(&desk.clock))?;
-        localizer.set_interrupt(Arc::clone(&desk.interrupts) as Arc<dyn Interrupt>);
+    fn begin_on(&mut self, map: OccupancyGrid, context: &mut Context) -> Result<(), LocalizerError> {
+        let mut localizer = Localizer::new(map, &self.config, Arc::clone(&context.clock))?;
+        localizer.set_interrupt(Arc::clone(&context.interrupts) as Arc<dyn Interrupt>);
         localizer.warm_up();
         localizer.set_transforms(std::mem::take(&mut self.transforms));
         if let Some(contract) = self.contract.take() {
             let outcome = localizer.on_contract(&contract);
-            judge(Input::Contract, "before the map", outcome, desk);
+            if let Err(problem) = outcome {
+                context.reader.refuse("icp_contract", "before the map", &problem);
+            }
         }
         self.localizer = Some(localizer);
         Ok(())
     }
 
-    fn hear(&mut self, input: Input, raw: &RawMessage, desk: &mut Desk) {
-        let sender = raw.sender.as_str();
-        match input {
-            Input::Scan | Input::Cloud | Input::Map | Input::Interrupt => {} // have their own ways
-            Input::Odometry => self.tell(input, raw, desk, |localizer, message| localizer.on_odometry(&message)),
-            Input::InitialPose => {
-                self.tell(input, raw, desk, |localizer, message| localizer.on_initial_pose(&message, raw.arrival));
-            }
-            Input::ClickedPoint => self.tell(input, raw, desk, |localizer, message| localizer.on_clicked_point(&message)),
-            Input::Contract => match (desk.reader.read::<Contract>(input.name(), raw), &mut self.localizer) {
-                (Some(contract), Some(localizer)) => {
-                    let outcome = localizer.on_contract(&contract);
-                    judge(input, sender, outcome, desk);
-                }
-                (contract, _) => self.contract = contract.or(self.contract.take()),
-            },
-            Input::Transforms | Input::StaticTransforms => {
-                let Some(message) = desk.reader.read::<TFMessage>(input.name(), raw) else { return };
-                self.give_way(&message, sender, desk);
-                if let Some(localizer) = &mut self.localizer {
-                    let outcome = localizer.on_transforms(&message);
-                    judge(input, sender, outcome, desk);
-                } else {
-                    self.transforms.add(&message);
-                }
-            }
-        }
-    }
-
-    /// Hands a message on; before there is a map it is not needed.
-    fn tell<T: Message>(
-        &mut self,
-        input: Input,
-        raw: &RawMessage,
-        desk: &mut Desk,
-        take: impl FnOnce(&mut Localizer, T) -> Result<(), InputError>,
-    ) {
-        let Some(message) = desk.reader.read(input.name(), raw) else { return };
-        if let Some(localizer) = &mut self.localizer {
-            let outcome = take(localizer, message);
-            judge(input, &raw.sender, outcome, desk);
-        }
-    }
-
     /// To who goes on in spite of this node; a scan matcher gives way itself.
-    fn give_way(&mut self, message: &TFMessage, sender: &str, desk: &Desk) {
+    fn give_way(&mut self, message: &TFMessage, sender: &str, context: &Context) {
         let odom_frame = &self.config.frames.odom_frame;
         let Some(other) = ConflictingPublisher::find(message, sender, odom_frame) else { return };
-        let now = desk.clock.now();
+        let now = context.clock.now();
         let is_recent = |heard: Duration| now.saturating_sub(heard) <= CONFLICT_TIMEOUT;
         let since = self.other.filter(|(_, last)| is_recent(*last)).map_or(now, |(since, _)| since);
         self.other = Some((since, now));
         if !is_recent(since)
             && let Some(warning) = self.publishers.transform().give_way(&other, odom_frame)
         {
-            desk.log.warn(&warning);
-            desk.monitor.set_condition(TRANSFORM_WITHHELD, true);
+            context.log.warn(&warning);
+            context.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
     }
 
-    fn watch(&self, fix: &Fix, desk: &mut Desk) {
+    fn watch(&self, fix: &Fix, context: &mut Context) {
         if let Some(localizer) = &self.localizer {
-            desk.watch_mount(localizer.mount());
+            context.watch_mount(localizer.mount());
         }
-        desk.monitor.set_condition(NOT_LOCALIZED, !fix.belief.as_ref().is_ok_and(Belief::is_localized));
+        context.monitor.set_condition(NOT_LOCALIZED, !fix.belief.as_ref().is_ok_and(Belief::is_localized));
         let problem = fix.belief.as_ref().err().map(ToString::to_string);
         if let Some(problem) = &problem {
-            desk.reader.warn("scan", &format!("not used: {problem}"));
+            context.reader.warn("scan", &format!("not used: {problem}"));
         }
-        desk.monitor.record(Sample { elapsed: fix.elapsed, overrun: fix.overrun(), problem });
+        context.monitor.record(Sample { elapsed: fix.elapsed, overrun: fix.overrun(), problem });
     }
 }
 
-impl Estimator for FilterNode {
-    type Input = Input;
+impl Algorithm for FilterNode {
     // A scan is of most use with the odometry of its time, which comes on another connection.
     const WAKES_AT_ONCE: bool = false;
 
-    fn begin(&mut self, desk: &mut Desk) {
-        desk.monitor.set_condition(NO_MAP, true);
+    fn begin(&mut self, context: &mut Context) {
+        context.tell_priority();
+        context.monitor.set_condition(NO_MAP, true);
         if let Some(map) = self.file_map.take() {
-            self.set_map(map, desk);
+            self.set_map(map, context);
         }
     }
 
-    fn handle(&mut self, event: Event<Input>, desk: &mut Desk) {
-        match event {
-            Event::Reset => match &mut self.localizer {
-                Some(localizer) => localizer.spread(),
-                None => desk.log.warn(NO_MAP),
-            },
-            Event::Message(Input::Map, raw) => {
-                if let Some(message) = desk.reader.read::<nav_msgs::OccupancyGrid>(Input::Map.name(), &raw) {
-                    match map_message::grid(&message) {
-                        Ok(map) => self.set_map(map, desk),
-                        Err(error) => desk.reader.refuse(Input::Map.name(), &raw.sender, &error),
-                    }
-                }
-            }
-            Event::Message(input, raw) => self.hear(input, &raw, desk),
-            Event::SaveProfile | Event::Change(_) => {} // the scan matcher's alone
+    fn request(&mut self, request: Request, context: &mut Context) {
+        match (request, &mut self.localizer) {
+            (Request::Reset, Some(localizer)) => localizer.spread(),
+            (Request::Reset, None) => context.log.warn(NO_MAP),
+            (Request::SaveProfile | Request::Change(_), _) => {} // the scan matcher's alone
         }
     }
 
@@ -207,9 +201,9 @@ impl Estimator for FilterNode {
         self.localizer.as_ref()?.wait_for_odometry(stamp)
     }
 
-    fn answer(&mut self, scan: &Sensed, arrival: Duration, desk: &mut Desk) {
-        let Some(localizer) = &mut self.localizer else { return desk.reader.warn("scan", NO_MAP) };
-        desk.urgency.set(localizer.contract().time_budget.is_some());
+    fn answer(&mut self, scan: &Sensed, arrival: Duration, context: &mut Context) {
+        let Some(localizer) = &mut self.localizer else { return context.reader.warn("scan", NO_MAP) };
+        context.urgency.set(localizer.contract().time_budget.is_some());
         let (publishers, config, known) = (&mut self.publishers, &self.config, &mut self.covariance);
         let mut answered = localizer.answer(scan, arrival, |localizer, fix| {
             let Ok(Belief { map_from_base, covariance, .. }) = fix.belief else { return };
@@ -217,21 +211,21 @@ impl Estimator for FilterNode {
             let placed = Placed { stamp: fix.stamp, map_from_base, covariance, twist: localizer.twist(), config };
             publishers.publish_pose(&placed, localizer.odom_from_base(fix.stamp), true);
         });
-        desk.urgency.set(false);
+        context.urgency.set(false);
         let_writers_go_first();
         let (_, fix) = answered.parts();
-        publishers.publish_report(fix, desk.mailbox.dropped().scans, &config.frames.map_frame);
+        publishers.publish_report(fix, context.mailbox.dropped().scans, &config.frames.map_frame);
         let_writers_go_first();
-        let fix = answered.maintain(&NextScan(&desk.mailbox));
+        let fix = answered.maintain(&NextScan(&context.mailbox));
         if let Ok(belief) = &fix.belief {
             publishers.publish_display(localizer, scan, &belief.map_from_base);
         }
-        desk.tell(localizer.take_remarks());
-        self.watch(&fix, desk);
+        context.tell(localizer.take_remarks());
+        self.watch(&fix, context);
     }
 
     /// Between scans: the last pose, moved on by the odometry that has come since.
-    fn carry_on(&mut self) {
+    fn carry_on(&mut self, _: &mut Context) {
         let Some(localizer) = &self.localizer else { return };
         let Some(stamp) = localizer.odometry_stamp() else { return };
         if let Some(map_from_base) = localizer.carried_to(stamp) {
@@ -239,11 +233,5 @@ impl Estimator for FilterNode {
             let placed = Placed { stamp, map_from_base, covariance, twist, config: &self.config };
             self.publishers.publish_pose(&placed, None, false);
         }
-    }
-}
-
-fn judge(input: Input, sender: &str, outcome: Result<(), InputError>, desk: &mut Desk) {
-    if let Err(error) = outcome {
-        desk.reader.refuse(input.name(), sender, &error);
     }
 }

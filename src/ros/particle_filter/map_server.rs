@@ -8,7 +8,7 @@ use crate::map::grid::OccupancyGrid;
 use crate::messages::nav_msgs;
 use crate::ros::NodeError;
 use crate::ros::log::Log;
-use crate::ros::master::{MasterRegistration, connect, resolved};
+use crate::ros::master::{connect, resolved};
 use crate::ros::output::Output;
 use crate::ros::services::{self, Service};
 
@@ -36,11 +36,6 @@ impl MapServer {
         let service = services::static_map(ros, STATIC_MAP, answer)?;
         log.info(&format!("publishes it as {} and serves it as {}", resolved(ros, MAP)?, resolved(ros, STATIC_MAP)?));
         Ok(Some((server, service)))
-    }
-
-    /// How the topics are registered with the master.
-    pub(super) fn registrations(&self) -> [MasterRegistration; 2] {
-        [self.map.registration(), self.metadata.registration()]
     }
 }
 

@@ -13,7 +13,6 @@ use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::FilterReport;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::ros::NodeError;
-use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
 use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
@@ -29,8 +28,8 @@ pub(super) struct Publishers {
     inferred_pose: Output<PoseStamped>,
     fake_scan: Output<LaserScan>,
     transform: TransformOutput,
-    /// Where the map came from a file.
-    map: Option<MapServer>,
+    /// Where the map came from a file: it is there for others as long as this lives.
+    _map: Option<MapServer>,
     last_pose: Option<Stamp>,
 }
 
@@ -45,25 +44,9 @@ impl Publishers {
             inferred_pose: Output::new(ros, "pf/viz/inferred_pose")?,
             fake_scan: Output::new(ros, "pf/viz/fake_scan")?,
             transform,
-            map,
+            _map: map,
             last_pose: None,
         })
-    }
-
-    /// How the topics are registered with the master.
-    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
-        let always = [
-            self.pose.registration(),
-            self.report.registration(),
-            self.particles.registration(),
-            self.inferred_pose.registration(),
-            self.fake_scan.registration(),
-        ];
-        always
-            .into_iter()
-            .chain(self.transform.registration())
-            .chain(self.map.iter().flat_map(MapServer::registrations))
-            .collect()
     }
 
     /// The output of transforms.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::PathFollowerKnobs;
 use super::convert::waypoints;
 use crate::anytime::ErrorEstimate;
-use crate::app::{map_message, planar_pose};
+use crate::app::{InputError, map_message, planar_pose};
 use crate::control::follower::{Follower, PoseReading};
 use crate::control::path::{PathError, Waypoint};
 use crate::control::progress::Arrival;
@@ -64,8 +64,9 @@ impl Intake {
         self.pose_frame.as_deref().unwrap_or(&self.knobs.map_frame)
     }
 
-    pub(super) fn on_transforms(&mut self, message: &TFMessage) {
-        self.transforms.add(message);
+    pub(super) fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
+        let count = self.transforms.add(message);
+        if count == 0 { Ok(()) } else { Err(InputError::BadTransforms { count }) }
     }
 
     pub(super) fn on_pose(&mut self, message: &Odometry) -> Result<(), String> {
@@ -104,23 +105,23 @@ impl Intake {
     }
 
     /// A path, in whatever frame. Where the way from there to the frame of the poses is not known yet, it waits.
-    pub(super) fn on_path(&mut self, message: Path) -> Option<Remark> {
+    pub(super) fn on_path(&mut self, message: &Path) -> Option<Remark> {
         let frame = frame_name(&message.header.frame_id).to_owned();
         let Some(pose_from_path) = self.pose_from(&frame) else {
             let remark =
                 format!("path: it is in '{frame}', poses are in '{}', and /tf does not say how they lie: it waits", self.frame());
-            self.waiting = Some(message);
+            self.waiting = Some(message.clone());
             return Some(Remark::Warning(remark));
         };
         self.waiting = None;
-        self.take(&waypoints(&message, &pose_from_path), message.header.stamp.into())
+        self.take(&waypoints(message, &pose_from_path), message.header.stamp.into())
     }
 
     /// The path that waits, if it can be had now.
     pub(super) fn retry(&mut self) -> Option<Remark> {
         let frame = frame_name(&self.waiting.as_ref()?.header.frame_id).to_owned();
         self.pose_from(&frame)?;
-        self.waiting.take().and_then(|path| self.on_path(path))
+        self.waiting.take().and_then(|path| self.on_path(&path))
     }
 
     /// The path of these points, in the frame of the poses.

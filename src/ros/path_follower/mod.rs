@@ -11,9 +11,8 @@ mod node;
 
 use rosrust::api::{Master, Ros};
 
-use self::node::Node;
 use super::shutdown::StopSignal;
-use super::{NodeError, params, shell};
+use super::{NodeError, params};
 use crate::control::follower::FollowerKnobs;
 use crate::geometry::Pose2;
 use crate::knobs::{KnobGroup, KnobInfo, Value};
@@ -66,11 +65,10 @@ impl KnobGroup for AllKnobs {
 /// Runs the node `path_follower` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
 /// parameters.
 pub fn run() -> Result<(), NodeError> {
-    shell::run(NAME, serve)
+    super::node::run(NAME, serve)
 }
 
 fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
     let knobs: AllKnobs = params::read_group(master, ros.name())?;
-    Node::start(ros, master, knobs)?.run(stop);
-    Ok(())
+    node::build(ros, master, knobs)?.run(stop, || ())
 }

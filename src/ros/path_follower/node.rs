@@ -1,75 +1,39 @@
 //! The follower as a node.
 
 use std::fs;
-use std::sync::Arc;
-use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
 
 use super::intake::{Intake, Remark};
 use super::{AllKnobs, PathFollowerKnobs, convert};
-use crate::anytime::clock::{Clock, MonotonicClock};
 use crate::anytime::timer::Timer;
+use crate::app::InputError;
 use crate::control::follower::{Follower, Step};
 use crate::control::progress::Progress;
 use crate::control::safety::StopReason;
 use crate::control::waypoint_file;
 use crate::io::map_file;
-use crate::messages::Message;
 use crate::messages::ackermann_msgs::AckermannDriveStamped;
 use crate::messages::geometry_msgs::PoseStamped;
-use crate::messages::nav_msgs::{OccupancyGrid, Odometry, Path};
 use crate::messages::own::FollowerReport;
-use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::messages::visualization_msgs::Marker;
-use crate::ros::NodeError;
+use crate::ros::context::{Context, Shared};
+use crate::ros::input::Input;
 use crate::ros::log::Log;
-use crate::ros::master::{MasterLink, MasterRegistration};
+use crate::ros::mailbox::Request;
+use crate::ros::node::{Node, NodeParts};
 use crate::ros::output::Output;
-use crate::ros::params;
-use crate::ros::reader::Reader;
-use crate::ros::services::{self, Service};
-use crate::ros::shutdown::StopSignal;
-use crate::ros::sink::{RawMessage, Topic};
-use crate::ros::subscriptions::Subscriptions;
+use crate::ros::sink::RawMessage;
+use crate::ros::worker::Algorithm;
+use crate::ros::{NodeError, params, services};
 use crate::time::Stamp;
 
-/// From one look at the master to the next.
-const MASTER_PERIOD: Duration = Duration::from_secs(1);
+/// The service after a stop before an obstacle, and what it answers.
+const RESUME: (&str, &str) = ("~resume", "the car may go on");
 /// From one picture of the path to the next.
 const MARKER_PERIOD: Duration = Duration::from_millis(200);
-
-/// Its inputs.
-#[derive(Clone, Copy, Debug)]
-enum Input {
-    Path,
-    Pose,
-    Scan,
-    Map,
-    Goal,
-    Transforms,
-    StaticTransforms,
-    Resume,
-}
-
-impl Input {
-    const TOPICS: [Self; 7] =
-        [Self::Path, Self::Pose, Self::Scan, Self::Map, Self::Goal, Self::Transforms, Self::StaticTransforms];
-
-    fn topic(self) -> Topic {
-        match self {
-            Self::Path | Self::Resume => Topic::of::<Path>("path"),
-            Self::Pose => Topic::vital::<Odometry>("pose"),
-            Self::Scan => Topic::of::<LaserScan>("scan"),
-            Self::Map => Topic::of::<OccupancyGrid>("map"),
-            Self::Goal => Topic::of::<PoseStamped>("move_base_simple/goal"),
-            Self::Transforms => Topic::of::<TFMessage>("/tf"),
-            Self::StaticTransforms => Topic::of::<TFMessage>("/tf_static"),
-        }
-    }
-}
 
 /// Its outputs.
 struct Publishers {
@@ -86,97 +50,63 @@ impl Publishers {
             markers: Output::new(ros, "follower/viz")?,
         })
     }
-
-    fn registrations(&self) -> [MasterRegistration; 3] {
-        [self.drive.registration(), self.report.registration(), self.markers.registration()]
-    }
 }
 
-pub(super) struct Node<'a> {
+/// The follower on the ROS graph.
+pub(super) struct FollowerNode<'a> {
     ros: &'a Ros,
-    clock: Arc<dyn Clock>,
-    master: MasterLink<'a>,
-    received: Receiver<(Input, Option<RawMessage>)>,
     publishers: Publishers,
     intake: Intake,
     base_frame: String,
-    commands: Timer,
     markers: Timer,
     number: u32,
     /// As last said.
     stop: Option<&'static str>,
-    log: Log,
-    reader: Reader,
-    _resume: Service,
-    // Dropping this ends them.
-    _subscriptions: Subscriptions<'a>,
 }
 
-impl<'a> Node<'a> {
-    pub(super) fn start(ros: &'a Ros, master: &'a Master, knobs: AllKnobs) -> Result<Self, NodeError> {
-        let log = Log::new(ros)?;
-        let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
-        let publishers = Publishers::new(ros)?;
-        let (sender, received) = channel();
-        let subscriptions = Subscriptions::new(ros, &clock, &log)?;
-        Input::TOPICS.into_iter().try_for_each(|input| subscribe(&subscriptions, input, sender.clone()))?;
-        let resume = services::trigger(ros, "~resume", move || {
-            drop(sender.send((Input::Resume, None)));
-            Ok("the car may go on".into())
-        })?;
-        let mut registrations: Vec<MasterRegistration> = Input::TOPICS.map(|input| input.topic().registration()).into();
-        registrations.extend(publishers.registrations());
-        registrations.extend([resume.registration(ros)?, MasterRegistration::ROSOUT]);
-        let master = MasterLink::new(ros, master, registrations, &log)?;
-        let (now, reader) = (clock.now(), Reader::new(&clock, &log));
-        let AllKnobs { node, follower } = knobs;
-        log.info(&format!(
-            "follows paths by {} at up to {} m/s, {} commands a second",
-            follower.law.name(),
-            follower.speed,
-            node.rate
-        ));
-        let period = Duration::from_secs_f64(node.rate.recip());
-        let mut intake = Intake::new(Follower::new(follower), node.clone());
-        read_files(ros.name(), &node, &mut intake, &log)?;
-        Ok(Self {
-            ros,
-            clock,
-            master,
-            received,
-            publishers,
-            intake,
-            base_frame: node.base_frame,
-            commands: Timer::new(period, now),
-            markers: Timer::new(MARKER_PERIOD, now),
-            number: 0,
-            stop: None,
-            log,
-            reader,
-            _resume: resume,
-            _subscriptions: subscriptions,
-        })
-    }
+/// Makes the node; it publishes a command with each call of its timer.
+pub(super) fn build<'a>(ros: &'a Ros, master: &'a Master, knobs: AllKnobs) -> Result<Node<'a>, NodeError> {
+    let mut parts = NodeParts::new(ros, master)?;
+    let Shared { clock, log, mailbox, .. } = parts.shared.clone();
+    let AllKnobs { node, follower } = knobs;
+    let publishers = Publishers::new(ros)?;
+    parts.services = vec![services::reset(ros, RESUME, &mailbox)?];
+    log.info(&format!(
+        "follows paths by {} at up to {} m/s, {} commands a second",
+        follower.law.name(),
+        follower.speed,
+        node.rate
+    ));
+    let mut intake = Intake::new(Follower::new(follower), node.clone());
+    read_files(ros.name(), &node, &mut intake, &log)?;
+    let now = clock.now();
+    let (commands, markers) = (Timer::new(Duration::from_secs_f64(node.rate.recip()), now), Timer::new(MARKER_PERIOD, now));
+    let follower = FollowerNode { ros, publishers, intake, base_frame: node.base_frame, markers, number: 0, stop: None };
+    parts.build("following", follower, FollowerNode::inputs(), Some(commands))
+}
 
-    /// Runs until it is told to stop. The last command is to stand.
-    pub(super) fn run(mut self, stop: &StopSignal) {
-        let mut looks = Timer::new(MASTER_PERIOD, self.clock.now());
-        while !stop.wait(Duration::ZERO) && self.ros.is_ok() {
-            if let Ok((input, raw)) = self.received.recv_timeout(self.commands.left(self.clock.now())) {
-                self.handle(input, raw.as_ref());
-            }
-            let now = self.clock.now();
-            if self.commands.is_due(now) {
-                self.command(now);
-            }
-            if looks.is_due(now) {
-                self.master.check();
-            }
-        }
-        if self.intake.follower.progress().is_some() {
-            let message = AckermannDriveStamped::default();
-            self.publishers.drive.send(|| message);
-        }
+impl FollowerNode<'_> {
+    /// The topics it reads.
+    fn inputs() -> Vec<Input<Self>> {
+        vec![
+            Input::with_context("path", |node: &mut Self, message, _, context| {
+                let remark = node.intake.on_path(message);
+                node.say(remark, context);
+                Ok::<_, String>(())
+            }),
+            Input::with_context("pose", |node: &mut Self, message, _, context| {
+                node.intake.on_pose(message)?;
+                let remark = node.intake.begin_round();
+                node.say(remark, context);
+                Ok::<_, String>(())
+            })
+            .vital(),
+            Input::of("scan", |node: &mut Self, message| node.intake.on_scan(message)),
+            Input::of("map", |node: &mut Self, message| node.intake.on_map(message)),
+            Input::with_context("move_base_simple/goal", Self::on_goal),
+            Input::with_context("/tf", Self::on_transforms),
+            Input::with_context("/tf_static", Self::on_transforms),
+        ]
     }
 
     fn now(&self) -> Stamp {
@@ -184,74 +114,35 @@ impl<'a> Node<'a> {
         Stamp::from_ros(time.sec, time.nsec)
     }
 
-    fn handle(&mut self, input: Input, raw: Option<&RawMessage>) {
-        let Some(raw) = raw else {
-            self.log.info("told to go on");
-            return self.intake.follower.resume();
-        };
-        match input {
-            Input::Pose => {
-                self.with(raw, "pose", |intake, message| intake.on_pose(&message));
-                let remark = self.intake.begin_round();
-                self.say(remark);
-            }
-            Input::Scan => self.with(raw, "scan", |intake, message| intake.on_scan(&message)),
-            Input::Map => self.with(raw, "map", |intake, message| intake.on_map(&message)),
-            Input::Transforms | Input::StaticTransforms => {
-                self.with(raw, "tf", |intake, message| {
-                    intake.on_transforms(&message);
-                    Ok(())
-                });
-                let remark = self.intake.retry();
-                self.say(remark);
-            }
-            Input::Path | Input::Resume => {
-                if let Some(message) = self.reader.read::<Path>(Path::TYPE, raw) {
-                    let remark = self.intake.on_path(message);
-                    self.say(remark);
-                }
-            }
-            Input::Goal => self.on_goal(raw),
-        }
+    fn on_transforms(&mut self, message: &TFMessage, _: &RawMessage, context: &mut Context) -> Result<(), InputError> {
+        let outcome = self.intake.on_transforms(message);
+        let remark = self.intake.retry();
+        self.say(remark, context);
+        outcome
     }
 
-    fn with<T: Message>(
-        &mut self,
-        raw: &RawMessage,
-        name: &'static str,
-        take: impl FnOnce(&mut Intake, T) -> Result<(), String>,
-    ) {
-        if let Some(message) = self.reader.read::<T>(T::TYPE, raw)
-            && let Err(problem) = take(&mut self.intake, message)
-        {
-            self.reader.warn(name, &problem);
-        }
-    }
-
-    fn on_goal(&mut self, raw: &RawMessage) {
-        let Some(message) = self.reader.read::<PoseStamped>(PoseStamped::TYPE, raw) else { return };
+    fn on_goal(&mut self, message: &PoseStamped, _: &RawMessage, context: &mut Context) -> Result<(), String> {
         let now = self.now();
         let from = self.intake.follower.pose_at(now);
-        match self.intake.on_goal(&message, from, now) {
-            Ok(remark) => self.say(remark),
-            Err(problem) => self.reader.warn("move_base_simple/goal", &problem),
-        }
+        let remark = self.intake.on_goal(message, from, now)?;
+        self.say(remark, context);
+        Ok(())
     }
 
-    fn say(&mut self, remark: Option<Remark>) {
+    fn say(&self, remark: Option<Remark>, context: &mut Context) {
         match remark {
             // A planner that plans again and again is no news.
-            Some(Remark::Info(text)) if self.stop.is_some() || self.number == 0 => self.log.info(&text),
+            Some(Remark::Info(text)) if self.stop.is_some() || self.number == 0 => context.log.info(&text),
             None | Some(Remark::Info(_)) => {}
-            Some(Remark::Warning(text)) => self.reader.warn("path", &text),
+            Some(Remark::Warning(text)) => context.reader.warn("path", &text),
         }
     }
 
     /// Publishes a command; nothing on `drive` before there was a path: another node may be in control.
-    fn command(&mut self, time: Duration) {
+    fn command(&mut self, context: &Context) {
         let now = self.now();
         let step = self.intake.follower.command(now);
-        self.tell_stop(&step);
+        self.tell_stop(&step, &context.log);
         let (number, frame) = (self.number, self.intake.frame());
         let path = self.intake.follower.progress().map(Progress::path);
         self.publishers.report.send(|| convert::report(number, now, frame, &step, path));
@@ -259,7 +150,7 @@ impl<'a> Node<'a> {
             self.publishers.drive.send(|| convert::drive(number, now, &self.base_frame, &step));
             self.number = self.number.wrapping_add(1).max(1);
         }
-        if self.markers.is_due(time)
+        if self.markers.is_due(context.clock.now())
             && self.publishers.markers.has_listeners()
             && let Some(path) = path
         {
@@ -270,24 +161,40 @@ impl<'a> Node<'a> {
     }
 
     /// A line for each change of mind.
-    fn tell_stop(&mut self, step: &Step) {
+    fn tell_stop(&mut self, step: &Step, log: &Log) {
         let stop = step.stop.as_ref().map(StopReason::code);
         if stop == self.stop {
             return;
         }
         match &step.stop {
             Some(StopReason::Arrived | StopReason::NoPath | StopReason::NoPose) | None => {
-                self.log.info(&step.stop.map_or_else(|| "drives".into(), |stop| format!("stands: {stop}")));
+                log.info(&step.stop.map_or_else(|| "drives".into(), |stop| format!("stands: {stop}")));
             }
-            Some(reason) => self.log.warn(&format!("brakes: {reason}")),
+            Some(reason) => log.warn(&format!("brakes: {reason}")),
         }
         self.stop = stop;
     }
 }
 
-fn subscribe(subscriptions: &Subscriptions, input: Input, sender: Sender<(Input, Option<RawMessage>)>) -> Result<(), NodeError> {
-    // Nobody listens any more when the node is ending.
-    subscriptions.listen(input.topic(), move |raw| drop(sender.send((input, Some(raw)))))
+impl Algorithm for FollowerNode<'_> {
+    /// A call of the service `~resume`.
+    fn request(&mut self, request: Request, context: &mut Context) {
+        if request == Request::Reset {
+            context.log.info("told to go on");
+            self.intake.follower.resume();
+        }
+    }
+
+    fn carry_on(&mut self, context: &mut Context) {
+        self.command(context);
+    }
+
+    /// The last command is to stand.
+    fn end(&mut self, _: &Context) {
+        if self.intake.follower.progress().is_some() {
+            self.publishers.drive.send(AckermannDriveStamped::default);
+        }
+    }
 }
 
 /// Takes map and path from the files that the parameters name.

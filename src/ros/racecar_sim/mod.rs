@@ -6,18 +6,17 @@
 //!  pose, initialpose ---^  teleports
 //! ```
 //!
-//! The oddities are in `face`. Its sideslip and the wheels' transforms are left out.
+//! The oddities are in `convert`. Its sideslip and the wheels' transforms are left out.
 
-mod face;
+mod convert;
 mod ground;
 mod simulator;
 
 use rosrust::api::{Master, Ros};
 
 use self::ground::Ground;
-use self::simulator::Simulator;
 use super::shutdown::StopSignal;
-use super::{NodeError, params, shell};
+use super::{NodeError, node, params};
 use crate::geometry::Pose2;
 use crate::simulation::lidar::LidarKnobs;
 use crate::simulation::vehicle::VehicleKnobs;
@@ -104,13 +103,12 @@ impl RacecarSimKnobs {
 /// Runs the node `racecar_sim` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
 /// parameters.
 pub fn run() -> Result<(), NodeError> {
-    shell::run(NAME, serve)
+    node::run(NAME, serve)
 }
 
 fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
     let knobs: RacecarSimKnobs = params::read_group(master, ros.name())?;
     let ground = Ground::new(&knobs)?;
     let (vehicle, lidar) = (knobs.vehicle(), knobs.lidar());
-    Simulator::start(ros, master, &knobs, (&ground, &vehicle, &lidar))?.run(stop);
-    Ok(())
+    simulator::build(ros, master, &knobs, (&ground, &vehicle, &lidar))?.run(stop, || ())
 }

@@ -22,7 +22,7 @@ pub use laser::LaserSummary;
 pub use odometry::OdometrySummary;
 pub use topic::TopicSummary;
 
-/// What there is to know of a bag before it is replayed.
+/// Summary of a bag.
 #[derive(Clone, Debug, Serialize)]
 pub struct BagSummary {
     /// The file.
@@ -35,7 +35,7 @@ pub struct BagSummary {
     pub duration_s: f64,
     /// Number of messages read.
     pub messages: u64,
-    /// Number of chunks by the way they are packed.
+    /// Number of chunks by compression.
     pub chunks: BTreeMap<&'static str, usize>,
     /// Every topic, by name.
     pub topics: Vec<TopicSummary>,
@@ -114,7 +114,7 @@ impl BagSummary {
     }
 }
 
-/// What is gathered of a topic.
+/// Statistics of a topic.
 struct TopicReport {
     statistics: topic::Statistics,
     content: Content,
@@ -153,7 +153,7 @@ impl TopicReport {
     }
 }
 
-/// An error and what it came from, on one line.
+/// An error and its causes, on one line.
 fn with_cause(error: &BagError) -> String {
     match error.source() {
         Some(cause) => format!("{error}: {cause}"),

@@ -1,4 +1,4 @@
-//! A summary for people.
+//! A summary as text.
 
 use std::collections::BTreeSet;
 use std::fmt;

@@ -9,7 +9,7 @@ use crate::time::Stamp;
 
 use super::super::{BagMessage, Connection};
 
-/// An interval this many times the mean one is a gap. (Not the median one: that of logs written in bursts is next to nothing.)
+/// An interval this many times the mean one is a gap. (Not the median one: in logs written in bursts it is near zero.)
 const GAP_FACTOR: f64 = 3.0;
 
 /// A topic and how its messages follow each other: by the stamps in their headers, or without headers by the times of recording.
@@ -84,7 +84,7 @@ impl Statistics {
         if let Some(previous) = self.previous.replace(stamp) {
             match stamp.cmp(&previous) {
                 Ordering::Less => self.stamps_back += 1,
-                // Without stamps of their own two messages may well be recorded at once.
+                // Messages without stamps may be recorded at the same time.
                 Ordering::Equal => self.stamps_repeated += u64::from(self.has_header),
                 Ordering::Greater => self.intervals.push(stamp.seconds_since(previous)),
             }

@@ -6,5 +6,5 @@
 mod parameters;
 mod poses;
 
-pub(super) use parameters::{Face, read};
+pub(super) use parameters::{Face, Predictors, read};
 pub(super) use poses::PoseOutputs;

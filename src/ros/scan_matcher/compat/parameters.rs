@@ -8,7 +8,6 @@ use serde_json::Map;
 use crate::config::{Config, ConfigError, set_group};
 use crate::knobs::{KnobGroup as _, Value, nearest_name};
 use crate::ros::NodeError;
-use crate::ros::input::Input;
 use crate::ros::params::{CONFIG_FILE, configure, private_parameters};
 
 crate::knobs! {
@@ -106,10 +105,21 @@ pub(in crate::ros) struct PoseTopics {
     pub(super) with_covariance_stamped: bool,
 }
 
-/// What the node listens to and says besides what it always does.
+/// Which topics may predict the motion between two scans.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(clippy::struct_excessive_bools)] // one for each topic
+pub(in crate::ros) struct Predictors {
+    pub(in crate::ros) odometry: bool,
+    pub(in crate::ros) imu: bool,
+    pub(in crate::ros) velocity: bool,
+    /// Velocities with headers.
+    pub(in crate::ros) stamped_velocity: bool,
+}
+
+/// What the node reads and publishes besides what it always does.
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::ros) struct Face {
-    pub(in crate::ros) inputs: Vec<Input>,
+    pub(in crate::ros) predictors: Predictors,
     /// `None`: the node has its own face.
     pub(in crate::ros) poses: Option<PoseTopics>,
     /// Parameters that were set and mean nothing here.
@@ -118,15 +128,10 @@ pub(in crate::ros) struct Face {
 
 impl Face {
     /// This node's own.
-    pub(in crate::ros) fn native(config: &Config) -> Self {
-        Self { inputs: inputs(config, |input| input != Input::StampedVelocity), poses: None, ignored: Vec::new() }
+    pub(in crate::ros) fn native() -> Self {
+        let predictors = Predictors { odometry: true, imu: true, velocity: true, stamped_velocity: false };
+        Self { predictors, poses: None, ignored: Vec::new() }
     }
-}
-
-/// Every input that is `wanted`, of scans and clouds the one that is to be matched.
-fn inputs(config: &Config, wanted: impl Fn(Input) -> bool) -> Vec<Input> {
-    let other = if config.cloud.input { Input::Scan } else { Input::Cloud };
-    Input::ALL.into_iter().filter(|&input| input != other && wanted(input)).collect()
 }
 
 /// Reads the configuration from the private parameters of `node`, which are called as those of `laser_scan_matcher` are, or as here.
@@ -157,12 +162,11 @@ fn translate(mut tree: Value, node: &str) -> Result<(Config, Face), ConfigError>
     // What only closest points read means nothing where pairs are looked up by projection.
     let is_read = |path: &str| config.matching.correspondence.search().is_some() || !CLASSIC.contains(&path);
     ignored.extend(renamed.iter().filter(|(_, path, _)| !is_read(path)).map(|(name, ..)| (*name).to_owned()));
-    let wanted = |input| match input {
-        Input::Imu => theirs.use_imu,
-        Input::Odometry => theirs.use_odom,
-        Input::Velocity => theirs.use_vel && !theirs.stamped_vel,
-        Input::StampedVelocity => theirs.use_vel && theirs.stamped_vel,
-        _ => true,
+    let predictors = Predictors {
+        odometry: theirs.use_odom,
+        imu: theirs.use_imu,
+        velocity: theirs.use_vel && !theirs.stamped_vel,
+        stamped_velocity: theirs.use_vel && theirs.stamped_vel,
     };
     let poses = PoseTopics {
         pose: theirs.publish_pose,
@@ -170,7 +174,7 @@ fn translate(mut tree: Value, node: &str) -> Result<(Config, Face), ConfigError>
         with_covariance: theirs.publish_pose_with_covariance,
         with_covariance_stamped: theirs.publish_pose_with_covariance_stamped,
     };
-    let face = Face { inputs: inputs(&config, wanted), poses: Some(poses), ignored };
+    let face = Face { predictors, poses: Some(poses), ignored };
     Ok((config, face))
 }
 
@@ -247,10 +251,8 @@ mod tests {
         assert_eq!((config.frames.odom_frame.as_str(), config.frames.base_frame.as_str()), ("world", "base_link"));
         assert_eq!(config.odometry.reference, ReferenceChoice::Keyframe);
         assert!((config.odometry.keyframe_distance - 0.1).abs() < 1e-12 && (config.odometry.keyframe_angle - 0.174).abs() < 1e-3);
-        assert!(
-            face.inputs.contains(&Input::Scan) && face.inputs.contains(&Input::Imu) && face.inputs.contains(&Input::Odometry)
-        );
-        assert!(![Input::Cloud, Input::Velocity, Input::StampedVelocity].iter().any(|input| face.inputs.contains(input)));
+        assert!(!config.cloud.input);
+        assert_eq!(face.predictors, Predictors { odometry: true, imu: true, velocity: false, stamped_velocity: false });
         let poses = PoseTopics { pose: true, stamped: false, with_covariance: false, with_covariance_stamped: false };
         assert_eq!((face.poses, face.ignored.len()), (Some(poses), 0));
     }
@@ -273,8 +275,7 @@ mod tests {
         );
         assert_eq!((config.matching.max_iterations, config.matching.solver), (20, SolverKind::PointToPoint));
         assert!((config.contract.time_budget.0 - 0.005).abs() < 1e-12, "this node's own names work too");
-        assert!(face.inputs.contains(&Input::Cloud) && face.inputs.contains(&Input::StampedVelocity));
-        assert!(!face.inputs.contains(&Input::Scan) && !face.inputs.contains(&Input::Odometry));
+        assert_eq!(face.predictors, Predictors { odometry: false, imu: true, velocity: false, stamped_velocity: true });
         assert_eq!(face.ignored, ["restart", "use_sigma_weights"]);
         let range = translate(json!({"kf_dist_linear": -1}), "/node").unwrap_err().to_string();
         assert!(range.contains("kf_dist_linear") && range.contains("0 to 100"), "{range}");

@@ -6,9 +6,8 @@ use super::parameters::PoseTopics;
 use crate::messages::Message;
 use crate::messages::geometry_msgs::{Pose2D, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped};
 use crate::ros::NodeError;
-use crate::ros::convert::Outgoing;
-use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
+use crate::ros::scan_matcher::convert::Outgoing;
 
 /// Those that are wanted.
 pub(in crate::ros) struct PoseOutputs {
@@ -26,16 +25,6 @@ impl PoseOutputs {
             with_covariance: output(ros, "pose_with_covariance", wanted.with_covariance)?,
             with_covariance_stamped: output(ros, "pose_with_covariance_stamped", wanted.with_covariance_stamped)?,
         })
-    }
-
-    pub(in crate::ros) fn registrations(&self) -> impl Iterator<Item = MasterRegistration> {
-        let all = [
-            self.planar.as_ref().map(Output::registration),
-            self.stamped.as_ref().map(Output::registration),
-            self.with_covariance.as_ref().map(Output::registration),
-            self.with_covariance_stamped.as_ref().map(Output::registration),
-        ];
-        all.into_iter().flatten()
     }
 
     pub(in crate::ros) fn publish(&self, answer: &Outgoing) {

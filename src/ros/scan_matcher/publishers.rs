@@ -5,19 +5,18 @@ use std::time::Duration;
 
 use rosrust::api::Ros;
 
-use super::NodeError;
 use super::compat::{Face, PoseOutputs};
 use super::convert::Outgoing;
-use super::master::MasterRegistration;
-use super::output::Output;
 use super::path::PathHistory;
-use super::transform_output::TransformOutput;
 use crate::messages::geometry_msgs::PoseStamped;
 use crate::messages::nav_msgs::{Odometry, Path};
 use crate::messages::own::MatchReport;
 use crate::messages::std_msgs::Int32;
 use crate::messages::visualization_msgs::Marker;
 use crate::odometry::{MatchedPoints, OdometryCounters, Outcome};
+use crate::ros::NodeError;
+use crate::ros::output::Output;
+use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
 
 /// Every topic that an answer leaves by.
@@ -52,23 +51,6 @@ impl Publishers {
             history: PathHistory::default(),
             last_transform: None,
         })
-    }
-
-    /// How the topics are registered with the master.
-    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
-        let always = [
-            self.pose.registration(),
-            self.state.registration(),
-            self.odometry.registration(),
-            self.report.registration(),
-            self.path.registration(),
-            self.debug.registration(),
-        ];
-        always
-            .into_iter()
-            .chain(self.transform.registration())
-            .chain(self.compat.iter().flat_map(PoseOutputs::registrations))
-            .collect()
     }
 
     /// Whether anybody looks at matched points.

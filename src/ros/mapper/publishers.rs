@@ -1,4 +1,4 @@
-//! What the map leaves by.
+//! Outputs of the map.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -11,22 +11,21 @@ use crate::mapping::Mapper;
 use crate::messages::nav_msgs;
 use crate::messages::visualization_msgs::Marker;
 use crate::ros::NodeError;
-use crate::ros::master::MasterRegistration;
 use crate::ros::output::Output;
 use crate::ros::services::LastMap;
 use crate::time::Stamp;
 
 /// Every topic of the map.
-pub(super) struct Outlets {
+pub(super) struct Publishers {
     map: Output<nav_msgs::OccupancyGrid>,
     metadata: Output<nav_msgs::MapMetaData>,
     graph: Output<Marker>,
     frame: String,
-    /// For who asks for it.
+    /// The map published last, for the service.
     last: LastMap,
 }
 
-impl Outlets {
+impl Publishers {
     pub(super) fn new(ros: &Ros, map_frame: &str) -> Result<Self, NodeError> {
         Ok(Self {
             map: Output::latched(ros, "map")?,
@@ -35,11 +34,6 @@ impl Outlets {
             frame: map_frame.into(),
             last: Arc::new(Mutex::new(None)),
         })
-    }
-
-    /// How the topics are registered with the master.
-    pub(super) fn registrations(&self) -> Vec<MasterRegistration> {
-        vec![self.map.registration(), self.metadata.registration(), self.graph.registration()]
     }
 
     /// The map that was published last.

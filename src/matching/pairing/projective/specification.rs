@@ -1,0 +1,198 @@
+//! What [`Projective::pair`] computes, said plainly: one ray after the other, in double precision, without registers of eight.
+
+use nalgebra::Matrix2;
+use proptest::prelude::*;
+
+use super::*;
+use crate::matching::view::Bearings;
+use crate::scan::BeamGeometry;
+use crate::time::Stamp;
+
+/// Sums in single precision are this near to those in double, as a part of the sum.
+const PRECISION: f64 = 1e-3;
+/// Beams of a view, and the angle from one to the next, rad.
+const BEAMS: (usize, f64) = (181, 0.03);
+
+/// The pairs at one pose, and what is remembered of them for the next ones.
+#[derive(Default)]
+struct Specified {
+    form: QuadraticForm,
+    totals: Totals,
+    /// Distance of each ray from its nearest partner, m.
+    distances: Vec<f64>,
+    /// What each ray weighs among the next pairs.
+    credits: Vec<f64>,
+    floor: f64,
+    /// Some ray is so near to the limit of the inliers that rounding decides.
+    is_ambiguous: bool,
+}
+
+/// The pairs of `points` with the views at a pose. `noise`: standard deviation of a range, m.
+fn specified(views: &[PlacedView], points: &[Point], pose: &Pose2, noise: f64, floor: f64, credits: &[f64]) -> Specified {
+    let mut all = Specified { distances: vec![f64::INFINITY; points.len()], ..Specified::default() };
+    for (i, &point) in points.iter().enumerate() {
+        let (mut pairs, mut inliers) = (0.0, 0.0);
+        for PlacedView { reference_from_view, view } in views {
+            let view_from_sensed = reference_from_view.between(pose);
+            let moved = view_from_sensed.transform().apply(point);
+            let surface = view.surfaces()[view.bearings().beam(&moved)];
+            if surface.is_none() {
+                continue;
+            }
+            let normal = Point::from(surface.normal().map(f64::from));
+            let error = normal.dot(&moved) - f64::from(surface.offset());
+            let incidence = normal.dot(&(turn(&view_from_sensed) * point)) / point.norm();
+            let variance = incidence.powi(2) + floor + f64::from(surface.variance());
+            // Geman and McClure's kernel.
+            let limit = variance * (KERNEL_SIGMAS * noise).powi(2);
+            let weight = (limit / (limit + error.powi(2))).powi(2) / variance * credits[i];
+            let is_inlier = f64::from(u8::from(error.powi(2) < limit));
+            all.is_ambiguous |= (error.powi(2) / limit - 1.0).abs() < PRECISION;
+            all.distances[i] = all.distances[i].min(error.abs());
+            (pairs, inliers) = (pairs + 1.0, inliers + is_inlier);
+            // The same line in the reference frame.
+            let line = turn(reference_from_view) * normal;
+            all.form.add_line(point, line, f64::from(surface.offset()) + line.dot(&reference_from_view.translation()), weight);
+            let turn_variance = f32::from_bits(surface.variance().to_bits() << 16);
+            let totals = &mut all.totals;
+            totals.squares += weight * error.powi(2);
+            totals.expected += weight * variance;
+            totals.feigned += weight * f64::from(turn_variance);
+            totals.excess += weight / variance * ((error / noise).powi(2) - variance);
+            totals.excess_weights += weight / variance;
+            totals.residuals += is_inlier * error.abs();
+        }
+        all.totals.pairs += pairs;
+        all.totals.inliers += inliers;
+        let confirmed: f64 = if pairs > 0.0 { inliers / pairs } else { 1.0 };
+        all.credits.push(if views.len() > 1 { confirmed.max(0.02).sqrt() } else { 1.0 });
+    }
+    let views_per_ray = (all.totals.pairs / points.len() as f64).max(1.0);
+    all.form = all.form.scaled(1.0 / views_per_ray);
+    all.totals.feigned /= views_per_ray;
+    let most = if floor > MOST_FLOOR { (GENTLEST * floor).max(MOST_FLOOR) } else { floor };
+    let shown = floor + all.totals.excess / all.totals.excess_weights.max(f64::MIN_POSITIVE);
+    all.floor = shown.max(STEEPEST * floor).max(LEAST_FLOOR).min(most);
+    all
+}
+
+fn turn(pose: &Pose2) -> Matrix2<f64> {
+    let (sin, cos) = pose.theta.sin_cos();
+    Matrix2::new(cos, -sin, sin, cos)
+}
+
+/// A room with corners at `(left, back)` and `(right, front)`, m.
+#[derive(Clone, Debug)]
+struct Room {
+    walls: [f64; 4],
+}
+
+impl Room {
+    /// What a laser sees at a pose, each range `off` by its own amount, m.
+    fn scan(&self, pose: &Pose2, off: &[f64]) -> Scan {
+        let [left, right, back, front] = self.walls;
+        let beams = BeamGeometry::new(-0.5 * BEAMS.1 * (BEAMS.0 - 1) as f64, BEAMS.1, BEAMS.0);
+        let range = |(i, off): (usize, &f64)| {
+            let (sin, cos) = (pose.theta + beams.angle(i)).sin_cos();
+            let along_x = (if cos > 0.0 { right } else { left } - pose.x) / cos;
+            let along_y = (if sin > 0.0 { front } else { back } - pose.y) / sin;
+            along_x.min(along_y) + off
+        };
+        let ranges: Vec<f64> = off.iter().enumerate().map(range).collect();
+        Scan::new(Stamp::default(), beams.into(), (0.1, 30.0), ranges).unwrap()
+    }
+}
+
+/// The scan without rays that end between two beams of a view: there rounding decides which of them they are paired with.
+fn unambiguous(scan: &Scan, views: &[PlacedView], poses: &[Pose2]) -> Scan {
+    let is_clear = |bearings: &Bearings, point: &Point| {
+        let beam = |by: f64| bearings.beam(&Pose2::new(0.0, 0.0, by).transform().apply(*point));
+        beam(0.02 * BEAMS.1) == beam(-0.02 * BEAMS.1)
+    };
+    let ends_clearly = |point: &Point| {
+        views.iter().all(|placed| {
+            let bearings = placed.view.bearings();
+            poses.iter().all(|pose| is_clear(&bearings, &placed.reference_from_view.between(pose).transform().apply(*point)))
+        })
+    };
+    let mut ranges = vec![f64::NAN; scan.len()];
+    for (ray, direction, range) in scan.rays() {
+        if ends_clearly(&(direction * range)) {
+            ranges[ray] = range;
+        }
+    }
+    Scan::new(Stamp::default(), scan.beams().clone().into(), (0.1, 30.0), ranges).unwrap()
+}
+
+fn pose(distance: f64, angle: f64) -> impl Strategy<Value = Pose2> {
+    (-distance..distance, -distance..distance, -angle..angle).prop_map(|(x, y, theta)| Pose2::new(x, y, theta))
+}
+
+/// Errors of ranges, m; of some, which end on what has moved, great ones.
+fn errors() -> impl Strategy<Value = Vec<f64>> {
+    proptest::collection::vec(prop_oneof![8 => -0.02..0.02, 1 => -1.0..1.0, 1 => Just(f64::NAN)], BEAMS.0)
+}
+
+fn assert_near(name: &str, fast: f64, plain: f64, scale: f64) -> Result<(), TestCaseError> {
+    prop_assert!((fast - plain).abs() <= PRECISION * (plain.abs() + scale), "{name}: {fast}, specified {plain}");
+    Ok(())
+}
+
+fn assert_meets(fast: &Projective, plain: &Specified, pose: &Pose2) -> Result<(), TestCaseError> {
+    let (a, b) = (&fast.totals, &plain.totals);
+    prop_assert_eq!((a.pairs, a.inliers), (b.pairs, b.inliers));
+    assert_near("squares", a.squares, b.squares, 1e-6 * b.expected)?;
+    assert_near("expected", a.expected, b.expected, 0.0)?;
+    assert_near("feigned", a.feigned, b.feigned, 0.0)?;
+    assert_near("excess", a.excess, b.excess, b.excess_weights)?;
+    assert_near("excess weights", a.excess_weights, b.excess_weights, 0.0)?;
+    assert_near("residuals", a.residuals, b.residuals, 1e-3)?;
+    assert_near("floor", fast.floor, plain.floor, 1.0)?;
+    let ((gradient, information), (gradient_b, information_b)) = (fast.form.linearize(pose), plain.form.linearize(pose));
+    prop_assert!((information - information_b).norm() <= PRECISION * information_b.norm(), "{information}{information_b}");
+    let scale = gradient_b.norm() + 1e-3 * information_b.norm();
+    prop_assert!((gradient - gradient_b).norm() <= PRECISION * scale, "{gradient}{gradient_b}");
+    assert_near("value", fast.form.value(pose), plain.form.value(pose), 1e-6 * b.expected)?;
+    let distances = fast.distances.as_flattened().iter().map(|&distance| f64::from(distance));
+    for (fast, &plain) in distances.zip(&plain.distances) {
+        prop_assert!(fast.to_bits() == plain.to_bits() || (fast - plain).abs() < 1e-5, "{fast}, specified {plain}");
+    }
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
+
+    #[test]
+    fn the_kernel_computes_what_is_specified(
+        walls in [-6.0..-1.5, 1.5..6.0, -6.0..-1.5, 1.5..6.0],
+        second in pose(0.8, 0.5),
+        (views, rays) in (1..3_usize, prop_oneof![Just(BEAMS.0), 5..BEAMS.0]),
+        sensed in pose(0.8, 0.5),
+        (first_off, second_off, sensed_off) in (errors(), errors(), errors()),
+        guesses in [pose(0.15, 0.1), pose(0.03, 0.02)],
+    ) {
+        let (room, noise) = (Room { walls }, 0.01);
+        let mut fast = Projective::new(noise);
+        let placed = [(Pose2::IDENTITY, first_off), (second, second_off)];
+        let views: Vec<PlacedView> = placed.iter().take(views).map(|(reference_from_view, off)| {
+            PlacedView { reference_from_view: *reference_from_view, view: fast.view(room.scan(reference_from_view, off)).into() }
+        }).collect();
+        let poses = guesses.map(|off| sensed * off);
+        let scan = unambiguous(&room.scan(&sensed, &sensed_off), &views, &poses);
+        prop_assume!(scan.valid_len() > 0);
+        fast.set_views(&views);
+        fast.begin(&poses[0].into());
+        fast.sense(&scan);
+        fast.choose_rays(RayOrder::first(rays, scan.valid_len()));
+        let points: Vec<Point> = fast.sensed.chosen.iter().map(|point| point.map(f64::from).into()).collect();
+        let mut credits = vec![1.0; points.len()];
+        for pose in &poses {
+            let plain = specified(&views, &points, pose, noise, fast.floor, &credits);
+            prop_assume!(!plain.is_ambiguous);
+            prop_assert!(fast.pair(pose, Metric::PointToLine).is_some());
+            assert_meets(&fast, &plain, pose)?;
+            credits = plain.credits;
+        }
+    }
+}

@@ -1,0 +1,54 @@
+//! How refinements end.
+
+use super::*;
+use crate::scan::BeamGeometry;
+use crate::time::Stamp;
+
+/// What a laser sees of one straight wall without an end, so far ahead, m.
+fn wall(distance: f64) -> Scan {
+    let beams = BeamGeometry::new(-0.8, 0.01, 161);
+    let ranges: Vec<f64> = (0..beams.len()).map(|i| distance / beams.angle(i).cos()).collect();
+    Scan::new(Stamp::default(), beams.into(), (0.05, 30.0), ranges).unwrap()
+}
+
+fn classic() -> MatchingKnobs {
+    MatchingKnobs { correspondence: Correspondence::JumpTable, coarse_rays: 0, ..MatchingKnobs::default() }
+}
+
+/// A solver that finds no pose.
+struct NoPose;
+
+impl Solver for NoPose {
+    fn metric(&self) -> solver::Metric {
+        solver::Metric::PointToLine
+    }
+
+    fn solve(&self, _form: &QuadraticForm, _prior: &Pose2) -> Option<Pose2> {
+        None
+    }
+}
+
+#[test]
+fn a_solver_that_finds_no_pose_ends_the_match_at_the_guess() {
+    let mut matcher = Matcher::new(&classic(), &RejectionKnobs::default());
+    matcher.solver = Box::new(NoPose);
+    matcher.set_reference(&wall(2.0));
+    let sensed = wall(1.9);
+    let mut refinement = matcher.begin(&sensed, Pose2::IDENTITY);
+    assert_eq!(refinement.refine(), Some(StopReason::Singular));
+    assert_eq!((refinement.pose(), refinement.refine()), (Pose2::IDENTITY, Some(StopReason::Singular)), "it stays ended");
+}
+
+/// A wall leaves a direction open: the pose moves across it, and stays where it was along it.
+#[test]
+fn pairs_that_leave_a_direction_open_leave_the_pose_there() {
+    for knobs in [classic(), MatchingKnobs::default()] {
+        let mut matcher = Matcher::new(&knobs, &RejectionKnobs::default());
+        matcher.set_reference(&wall(2.0));
+        let sensed = wall(1.9);
+        let mut refinement = matcher.begin(&sensed, Pose2::new(0.0, 0.02, 0.0));
+        while refinement.refine().is_none() {}
+        let pose = refinement.pose();
+        assert!((pose.x - 0.1).abs() < 1e-3 && (pose.y - 0.02).abs() < 1e-3, "{pose:?}");
+    }
+}

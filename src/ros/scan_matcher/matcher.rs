@@ -1,0 +1,186 @@
+//! The scan matcher's work: drives the application and publishes its answers.
+
+use std::sync::mpsc::Sender;
+use std::time::Duration;
+
+use super::compat::Predictors;
+use super::convert::Outgoing;
+use super::publishers::Publishers;
+use crate::app::sensed::Sensed;
+use crate::app::{Answering as _, App, Estimate, InputError};
+use crate::config::FrameKnobs;
+use crate::messages::geometry_msgs::TwistStamped;
+use crate::messages::tf2_msgs::TFMessage;
+use crate::odometry::Outcome;
+use crate::ros::context::Context;
+use crate::ros::diagnostics::{IMU_DISBELIEVED, ODOMETRY_DISBELIEVED, OUTSIDE_PROFILE, Sample, TRANSFORM_WITHHELD};
+use crate::ros::input::Input;
+use crate::ros::live_params::MatchingChange;
+use crate::ros::mailbox::{NextScan, Request};
+use crate::ros::mapper::MapFeed;
+use crate::ros::priority::let_writers_go_first;
+use crate::ros::services::Reply;
+use crate::ros::sink::RawMessage;
+use crate::ros::transform_output::ConflictingPublisher;
+use crate::ros::worker::Algorithm;
+use crate::time::Stamp;
+
+/// Everything the matching thread owns.
+pub(super) struct Matcher {
+    app: App,
+    publishers: Publishers,
+    /// Takes what came of calls of services.
+    replies: Sender<Reply>,
+    /// Where answers go that a map is made of.
+    map: Option<MapFeed>,
+}
+
+impl Matcher {
+    pub(super) fn new(app: App, publishers: Publishers, replies: Sender<Reply>, map: Option<MapFeed>) -> Self {
+        Self { app, publishers, replies, map }
+    }
+
+    /// The topics it reads: point clouds or scans, and what is to predict.
+    pub(super) fn inputs(are_clouds: bool, predictors: Predictors) -> Vec<Input<Self>> {
+        let predicting = [
+            (predictors.odometry, Input::of("odom", |matcher: &mut Self, message| matcher.app.on_odometry(message))),
+            (predictors.imu, Input::of("imu/data", |matcher: &mut Self, message| matcher.app.on_imu(message))),
+            (predictors.velocity, Input::of("vel", |matcher: &mut Self, message| matcher.app.on_velocity(message))),
+            (
+                predictors.stamped_velocity,
+                Input::of("vel", |matcher: &mut Self, message: &TwistStamped| matcher.app.on_velocity(&message.twist)),
+            ),
+        ];
+        let others = [
+            Input::scans(are_clouds),
+            Input::interrupts(),
+            Input::of("icp_contract", |matcher: &mut Self, message| matcher.app.on_contract(message)),
+            Input::with_context("initialpose", |matcher: &mut Self, message, raw, _| {
+                matcher.app.on_initial_pose(message, raw.arrival)
+            }),
+            Input::with_context("/tf", Self::on_transforms),
+            Input::with_context("/tf_static", Self::on_transforms),
+        ];
+        predicting.into_iter().filter(|(wanted, _)| *wanted).map(|(_, input)| input).chain(others).collect()
+    }
+
+    fn on_transforms(&mut self, message: &TFMessage, raw: &RawMessage, context: &mut Context) -> Result<(), InputError> {
+        let outcome = self.app.on_transforms(message);
+        self.give_way(message, &raw.sender, context);
+        outcome
+    }
+
+    fn save_profile(&mut self) {
+        let outcome = match &self.app.config().contract.cost_file {
+            None => Err("there is no file to save to: set the parameter contract/cost_file and start the node again".into()),
+            Some(path) => {
+                let done = format!("what matching costs on this machine is in {path}");
+                self.app.store_costs().map(|()| done).map_err(|error| error.to_string())
+            }
+        };
+        let _ = self.replies.send(outcome); // fails only while the node is ending
+    }
+
+    fn apply(&mut self, change: MatchingChange) {
+        match change {
+            MatchingChange::Limit(limit) => self.app.set_contract(limit.applied_to(self.app.contract())),
+            MatchingChange::MaxIterations(limit) => self.app.set_max_iterations(limit),
+        }
+    }
+
+    fn give_way(&self, message: &TFMessage, sender: &str, context: &Context) {
+        let FrameKnobs { odom_frame, base_frame, .. } = &self.app.config().frames;
+        for child in [base_frame, odom_frame] {
+            if let Some(other) = ConflictingPublisher::find(message, sender, child) {
+                self.withhold(&other, child, context);
+            }
+        }
+        // Another odometry in our frame, however many transforms it takes to the base: then it is not ours to say where that frame is.
+        if self.app.transforms().carries(odom_frame, base_frame) {
+            self.withhold(&ConflictingPublisher::new(sender, odom_frame, base_frame), odom_frame, context);
+        }
+    }
+
+    fn withhold(&self, other: &ConflictingPublisher, child: &str, context: &Context) {
+        if let Some(warning) = self.publishers.transform().give_way(other, child) {
+            context.log.warn(&warning);
+            context.monitor.set_condition(TRANSFORM_WITHHELD, true);
+        }
+    }
+
+    fn watch(&self, estimate: &Estimate, context: &mut Context) {
+        if let Outcome::Predicted(problem) = &estimate.registration.outcome {
+            context.reader.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
+        }
+        let disbelieved = estimate.registration.disbelieved;
+        context.monitor.set_condition(ODOMETRY_DISBELIEVED, disbelieved.odometry);
+        context.monitor.set_condition(IMU_DISBELIEVED, disbelieved.imu);
+        context.monitor.set_condition(OUTSIDE_PROFILE, estimate.outside_profile.is_some());
+        context.monitor.set_odometry_lag(self.app.odometry_lag());
+        context.watch_mount(self.app.mount());
+        context.monitor.record(Sample::from(estimate));
+    }
+}
+
+impl Algorithm for Matcher {
+    const WAKES_AT_ONCE: bool = true;
+
+    fn begin(&mut self, context: &mut Context) {
+        context.tell_priority();
+    }
+
+    fn request(&mut self, request: Request, _: &mut Context) {
+        match request {
+            Request::Reset => self.app.reset(),
+            Request::SaveProfile => self.save_profile(),
+            Request::Change(change) => self.apply(change),
+        }
+    }
+
+    fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
+        self.app.wait_for_odometry(stamp)
+    }
+
+    /// A map is the better for every scan: it may wait for as long as one is held back for its odometry.
+    fn patience_in_line(&self) -> Duration {
+        if self.map.is_some() { self.app.patience() } else { Duration::ZERO }
+    }
+
+    fn answer(&mut self, scan: &Sensed, arrival: Duration, context: &mut Context) {
+        context.urgency.set(self.app.contract().time_budget.is_some());
+        self.app.set_keep_matched_points(self.publishers.wants_matched_points());
+        let (publishers, map) = (&mut self.publishers, &mut self.map);
+        let mut answered = self.app.answer(scan, arrival, |app, estimate| {
+            if let Some(map) = map {
+                map.place(estimate);
+            }
+            publishers.publish_pose(&Outgoing { estimate, number: number(app), frames: &app.config().frames });
+        });
+        let (app, estimate) = answered.parts();
+        context.interrupts.publish(estimate);
+        context.urgency.set(false);
+        let_writers_go_first();
+        let (now, answer) = (context.clock.now(), Outgoing { estimate, number: number(app), frames: &app.config().frames });
+        publishers.publish_details(&answer, app.odometry_counters(), context.mailbox.dropped().scans);
+        publishers.publish_display(&answer, app.matched_points(), now);
+        let_writers_go_first();
+        if let Some(map) = map {
+            map.send(scan, estimate, app);
+        }
+        let estimate = answered.maintain(&NextScan(&context.mailbox));
+        context.tell(self.app.take_remarks());
+        self.watch(&estimate, context);
+    }
+
+    fn end(&mut self, context: &Context) {
+        if let Err(error) = self.app.store_costs() {
+            context.log.warn(&error.to_string());
+        }
+    }
+}
+
+/// The number of the answer that is being given. Those of headers wrap around.
+#[allow(clippy::cast_possible_truncation)]
+fn number(app: &App) -> u32 {
+    app.counters().scans as u32
+}
