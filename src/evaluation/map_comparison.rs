@@ -72,7 +72,7 @@ pub struct MapComparison {
     pub truth_from_map: Pose2,
     /// From what the map says to the nearest true wall; `None` where it says that there is nothing.
     pub to_truth: Option<Distances>,
-    /// From the true walls beside what the map says is free to the nearest one of the map.
+    /// From the true walls that could be seen to the nearest one of the map.
     pub to_map: Option<Distances>,
     /// Part of the map's free cells where truly no wall is.
     pub truly_free: f64,
@@ -84,14 +84,17 @@ pub struct MapComparison {
 
 impl MapComparison {
     /// Compares a map with the true one, which has its frame; or, with `align`, one that is up to two metres and some degrees away.
-    pub fn new(map: &OccupancyGrid, truth: &OccupancyGrid, align: bool) -> Self {
+    ///
+    /// The map can miss the walls that rays `met`, by the numbers of their cells in the truth; where that is not known, those that it says it
+    /// is free beside.
+    pub fn new(map: &OccupancyGrid, truth: &OccupancyGrid, align: bool, met: Option<&[bool]>) -> Self {
         let (walls, true_walls) = (centres(map, Cell::Occupied), centres(truth, Cell::Occupied));
         let truth_from_map = if align { alignment(&walls, truth) } else { Pose2::IDENTITY };
         let transform = truth_from_map.transform();
         let moved = |points: Vec<Point>| points.into_iter().map(|point| transform.apply(point)).collect::<Vec<_>>();
         let (walls, free) = (moved(walls), moved(centres(map, Cell::Free)));
         let is_wall = |point: &Point| at(truth, point) == Some(Cell::Occupied);
-        let seen = seen_walls(truth, map, &transform);
+        let seen = met.map_or_else(|| seen_walls(truth, map, &transform), |met| walls_met(truth, met));
         Self {
             truth_from_map,
             to_truth: Distances::of(distances(&walls, &true_walls)),
@@ -163,6 +166,12 @@ fn centres(map: &OccupancyGrid, kind: Cell) -> Vec<Point> {
 fn at(map: &OccupancyGrid, point: &Point) -> Option<Cell> {
     let place = map.coordinates(*point);
     map.cell(place.x.floor() as i64, place.y.floor() as i64)
+}
+
+/// True walls that rays met.
+fn walls_met(truth: &OccupancyGrid, met: &[bool]) -> Vec<Point> {
+    let walls = truth.cells().iter().zip(met).enumerate().filter(|(_, (cell, met))| **cell == Cell::Occupied && **met);
+    walls.map(|(i, _)| truth.centre(i % truth.width(), i / truth.width())).collect()
 }
 
 /// True walls beside which the map says it is free.
@@ -382,7 +391,7 @@ mod tests {
     #[test]
     fn a_map_is_like_itself() {
         let truth = room(Pose2::IDENTITY, 0.0, false);
-        let found = MapComparison::new(&room(Pose2::IDENTITY, 0.0, true), &truth, false);
+        let found = MapComparison::new(&room(Pose2::IDENTITY, 0.0, true), &truth, false, None);
         let (to_truth, to_map) = (found.to_truth.unwrap(), found.to_map.unwrap());
         assert_eq!(
             (to_truth.mean_m, to_truth.over_10_cm, to_map.mean_m, to_map.over_10_cm, found.truly_free),
@@ -396,16 +405,30 @@ mod tests {
     #[test]
     fn a_wall_that_is_off_is_told_both_ways() {
         let truth = room(Pose2::IDENTITY, 0.0, false);
-        let found = MapComparison::new(&room(Pose2::IDENTITY, 0.3, true), &truth, false);
+        let found = MapComparison::new(&room(Pose2::IDENTITY, 0.3, true), &truth, false, None);
         let (to_truth, to_map) = (found.to_truth.unwrap(), found.to_map.unwrap());
         assert!(to_truth.over_10_cm > 0.15 && to_map.over_10_cm > 0.15 && found.truly_free < 0.999, "{found}");
         assert!(to_truth.mean_m > 0.03 && to_truth.p95_m > 0.2, "{found}");
     }
 
     #[test]
+    fn walls_that_no_ray_met_are_not_missed() {
+        let (truth, map) = (room(Pose2::IDENTITY, 0.0, false), room(Pose2::IDENTITY, 0.3, true));
+        let over = |met: &dyn Fn(usize) -> bool| {
+            let met: Vec<bool> = (0..truth.cells().len()).map(met).collect();
+            let found = MapComparison::new(&map, &truth, false, Some(&met)).to_map.unwrap();
+            (found.count, found.over_10_cm)
+        };
+        // All but the right wall, which the map has 0.3 m farther off; then all.
+        assert_eq!(over(&|i| i % 200 < 178), (434, 0.0));
+        assert_eq!(over(&|_| true).0, 556);
+        assert!(over(&|_| true).1 > 0.15);
+    }
+
+    #[test]
     fn a_map_from_elsewhere_is_laid_on_the_truth() {
         let (truth, away) = (room(Pose2::IDENTITY, 0.0, false), Pose2::new(0.6, -0.4, 0.08));
-        let found = MapComparison::new(&room(away, 0.0, true), &truth, true);
+        let found = MapComparison::new(&room(away, 0.0, true), &truth, true, None);
         let back = found.truth_from_map * away;
         assert!(back.distance() < 0.02 && back.theta.abs() < 0.003, "{back:?}");
         assert!(found.to_truth.unwrap().mean_m < 0.01 && found.to_json()["free_truly_free"].as_f64().unwrap() > 0.99);
@@ -414,7 +437,7 @@ mod tests {
     #[test]
     fn maps_without_walls_have_no_distances() {
         let empty = OccupancyGrid::new(10, 0.05, Pose2::IDENTITY, vec![Cell::Unknown; 100]).unwrap();
-        let found = MapComparison::new(&empty, &empty, true);
+        let found = MapComparison::new(&empty, &empty, true, None);
         assert_eq!((found.to_truth, found.to_map, found.shape.enclosed_areas), (None, None, 0));
     }
 }

@@ -81,6 +81,12 @@ impl Drive {
         json(&["evaluate", "--map", &self.path(&format!("{name}.yaml")), "--truth-map", CORRIDOR, "--json"])
     }
 
+    /// The same, where only walls count as missed that rays of the drive met.
+    fn compare_met(&self, name: &str) -> Value {
+        let map = self.path(&format!("{name}.yaml"));
+        json(&["evaluate", "--map", &map, "--truth-map", CORRIDOR, "--drive", &self.bag, "--json"])
+    }
+
     /// RMSE of a trajectory after alignment, m.
     fn ate(&self, name: &str) -> f64 {
         let (tum, truth) = (self.path(&format!("{name}.tum")), self.path("truth.tum"));
@@ -102,6 +108,9 @@ fn a_drive_becomes_a_map_like_the_true_one_twice_the_same() {
     let found = drive.compare("a");
     assert!(number(&found["occupied_to_truth"]["over_10_cm"]) < 0.001, "{found}");
     assert!(number(&found["truth_to_occupied"]["over_10_cm"]) < 0.05, "{found}");
+    let met = drive.compare_met("a");
+    assert!(number(&met["truth_to_occupied"]["over_10_cm"]) < 0.007, "{met}");
+    assert_eq!(met["occupied_to_truth"], found["occupied_to_truth"]);
     // The walls of this world are as thin as lines, in the middle of a cell: the half of it that is before them is free.
     assert!(number(&found["free_truly_free"]) > 0.97, "{found}");
     assert_eq!(drive.map(&[&drive.bag], "b", &[]), summary);

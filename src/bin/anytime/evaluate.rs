@@ -6,7 +6,8 @@ use anytime_scan_matcher::evaluation::map_comparison::MapComparison;
 use anytime_scan_matcher::evaluation::plot::trajectory_plot;
 use anytime_scan_matcher::evaluation::relations::RelationErrors;
 use anytime_scan_matcher::evaluation::report::{Comparison, Report};
-use anytime_scan_matcher::io::{map_file, relations, tum};
+use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::io::{map_file, relations, simulated_bag, tum};
 use clap::Args;
 
 use crate::input_flags::{Files, picture};
@@ -28,6 +29,10 @@ pub(crate) struct Arguments {
     /// Align the map with the true one first; it may be off by up to 2 m and a few degrees
     #[arg(long, requires = "map")]
     align: bool,
+    /// Count as missed only what the rays of this simulated drive (its bag, by anytime simulate) truly met; without it, every wall that the map
+    /// says it is free beside
+    #[arg(long, value_name = "X.bag", requires = "map")]
+    drive: Option<PathBuf>,
     #[command(flatten)]
     reference: Reference,
     /// Print one JSON object
@@ -61,20 +66,23 @@ fn positive(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     match arguments {
-        Arguments { map: Some(map), truth_map: Some(truth), align, json, .. } => compare_maps(map, truth, *align, *json),
+        Arguments { map: Some(map), truth_map: Some(truth), .. } => compare_maps(map, truth, arguments),
         Arguments { trajectory: Some(trajectory), .. } => compare_trajectory(trajectory, arguments),
         _ => Err(crate::outcome::usage("nothing to evaluate: a trajectory, or --map with --truth-map")),
     }
 }
 
-fn compare_maps(map: &Path, truth: &Path, align: bool, json: bool) -> anyhow::Result<String> {
-    let files = Files::default().read("--map", Some(map)).read("--truth-map", Some(truth));
-    let found = MapComparison::new(&map_file::read(map)?, &map_file::read(truth)?, align);
+fn compare_maps(map: &Path, truth: &Path, arguments: &Arguments) -> anyhow::Result<String> {
+    let Arguments { align, drive, json, .. } = arguments;
+    let files = Files::default().read("--map", Some(map)).read("--truth-map", Some(truth)).read("--drive", drive.as_deref());
+    let world = map_file::read(truth)?;
+    let met = drive.as_deref().map(|drive| -> anyhow::Result<_> { Ok(simulated_bag::cells_met(&Bag::open(drive)?, &world)?) });
+    let found = MapComparison::new(&map_file::read(map)?, &world, *align, met.transpose()?.as_deref());
     let problem = found.to_truth.is_none().then(|| {
         let (map, truth) = (map.display(), truth.display());
         format!("{map} or {truth} has no occupied cell: there is nothing to compare")
     });
-    shown(files.shown(json, || found.to_json(), || found.to_string()), problem)
+    shown(files.shown(*json, || found.to_json(), || found.to_string()), problem)
 }
 
 fn compare_trajectory(trajectory: &Path, arguments: &Arguments) -> anyhow::Result<String> {
