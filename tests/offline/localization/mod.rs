@@ -2,6 +2,7 @@
 
 mod command;
 mod contract;
+mod lag;
 mod recovery;
 
 use std::collections::BTreeMap;
