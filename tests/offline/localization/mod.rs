@@ -184,7 +184,7 @@ fn tracks(map: &OccupancyGrid, name: &str, (seconds, metres): (f64, f64), thread
 
 #[test]
 fn a_drive_is_tracked() {
-    tracks(&corridor(), "made-up corridor", (25.0, 40.0), 0, (0.0152, 0.21));
+    tracks(&corridor(), "made-up corridor", (25.0, 40.0), 0, (0.0122, 0.152));
 }
 
 #[test]
@@ -306,7 +306,7 @@ fn who_calls_has_the_answer_before_any_beam_and_the_scan_is_taken_in_later() {
     let (reason, free) = answer(&scans[1]);
     assert_eq!((reason, free.beams), (Some(StopReason::Converged), 60));
     let [free, called] = [free, called].map(|belief| belief.covariance.m11 + belief.covariance.m22);
-    assert!(free < 0.2 * called, "the first scan left its trace: {free} after {called} m^2");
+    assert!(free < 0.5 * called, "the first scan left its trace: {free} after {called} m^2");
 }
 
 #[test]
