@@ -25,7 +25,7 @@ use crate::messages::own;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
-use crate::odometry::wheel::WheelOdometry;
+use crate::odometry::sources::MotionSources;
 use crate::scan::Scan;
 use crate::time::{NEW_RUN, Stamp};
 use crate::transforms::{Mount, TransformTree, frame_name};
@@ -101,9 +101,7 @@ pub struct Localizer {
     intake: Intake,
     interrupt: Arc<dyn Interrupt>,
     filter: ParticleFilter,
-    wheel: WheelOdometry,
-    /// The last odometry: stamp and pose in its own frame.
-    odometer: Option<(Stamp, Pose2)>,
+    sources: MotionSources,
     /// A pose that was set and its covariance, until the first scan after it.
     initial_pose: Option<InitialPose<(Pose2, PoseCovariance)>>,
     /// Stamp of the scan used last, and where the robot was then.
@@ -120,8 +118,7 @@ impl Localizer {
             filter: filter_on(map, config)?,
             intake: Intake::new(config, clock)?,
             interrupt: Arc::new(Never),
-            wheel: WheelOdometry::default(),
-            odometer: None,
+            sources: MotionSources::default(),
             initial_pose: None,
             last: None,
             twist: Twist2::default(),
@@ -241,12 +238,15 @@ impl Localizer {
         }
         let (belief, stop_reason) = self.filter.update(observation, &mount.base_from_laser, &mut driver);
         self.last = Some((stamp, belief.map_from_base));
+        if belief.is_localized() {
+            self.sources.learn_lag(stamp, belief.map_from_base);
+        }
         (belief, stop_reason, driver.refined())
     }
 
     /// By odometry; where it is silent, as before.
     fn motion(&mut self, from: Stamp, to: Stamp) -> Pose2 {
-        self.wheel.motion(from, to).unwrap_or_else(|| {
+        self.sources.motion(from, to).unwrap_or_else(|| {
             self.without_odometry += 1;
             self.twist.motion(to.seconds_since(from).min(LONGEST_GUESS))
         })
@@ -255,16 +255,17 @@ impl Localizer {
     /// The pose of the last answer, carried on by odometry to another time; `None` where there is no answer, or no odometry.
     pub fn carried_to(&self, stamp: Stamp) -> Option<Pose2> {
         let (last, map_from_base) = self.last?;
-        Some(map_from_base * self.wheel.motion(last, stamp)?)
+        Some(map_from_base * self.sources.motion(last, stamp)?)
     }
 
-    /// Where odometry has the robot at a time, in its own frame.
+    /// Where odometry says that the robot is at a time, in its own frame and by its own clock: as its transforms have it.
     pub fn odom_from_base(&self, stamp: Stamp) -> Option<Pose2> {
-        let (last, pose) = self.odometer?;
-        match self.wheel.motion(stamp, last) {
-            Some(motion) => Some(pose * motion.inverse()),
-            None => Some(pose * self.wheel.motion(last, stamp)?),
-        }
+        self.sources.wheel_pose(stamp)
+    }
+
+    /// Scans show the robot where the wheel odometry had it so much earlier, s; found along the path, 0 as long as nothing says so.
+    pub fn odometry_lag(&self) -> f64 {
+        self.sources.wheel_lag()
     }
 
     /// Velocity of the base: the motion between the last two scans.
@@ -274,7 +275,7 @@ impl Localizer {
 
     /// Stamp of the newest odometry.
     pub fn odometry_stamp(&self) -> Option<Stamp> {
-        self.odometer.map(|(stamp, _)| stamp)
+        self.sources.last_wheel_stamp()
     }
 
     /// Takes the pose of the base, as a person sets it in `RViz`, which came when the clock read `arrival`: the robot is there when the
@@ -399,13 +400,11 @@ impl Answering for Localizer {
     }
 
     fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        self.intake.patience().filter(|_| self.wheel.is_behind(stamp))
+        self.intake.patience().filter(|_| self.sources.is_behind(stamp))
     }
 
     fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
-        let sample = self.intake.wheel_sample(message)?;
-        self.wheel.push(sample);
-        self.odometer = Some((sample.stamp, sample.pose));
+        self.sources.push(self.intake.wheel_sample(message)?);
         Ok(())
     }
 

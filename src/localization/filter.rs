@@ -6,7 +6,6 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::LocalizationKnobs;
 use super::agreement::{Agreement, DECIDED, LEAST};
-use super::calibration::Calibration;
 use super::estimate::{self, Belief};
 use super::evidence::Evidence;
 use super::model::Model;
@@ -28,6 +27,9 @@ use crate::raycasting::Fan;
 
 /// Two poses this near to each other, m and rad, are of one place.
 const SAME_PLACE: (f64, f64) = (1.0, 0.6);
+/// Scans from nearer than this, m and rad, show the same parts of the same walls, and err alike by what the map and the ray casting err
+/// there: together they are no more evidence than one. Five cells of a usual map: its errors are those of single cells, and of a few.
+const VIEW: (f64, f64) = (0.25, 0.25);
 /// Time between two scans if it is not known, s.
 const PERIOD: f64 = 0.025;
 
@@ -50,12 +52,10 @@ pub struct ParticleFilter {
     posterior: Vec<f32>,
     /// Particles that there is time for.
     affordable: usize,
-    /// Motion and time since the scan before, s.
-    motion: Pose2,
+    /// Time since the scan before, s.
     seconds: f64,
-    /// What is known of the odometry's steady errors, and where the cloud was believed to be after the last scan.
-    calibration: Calibration,
-    last: Option<Pose2>,
+    /// Evidence that the robot's motion has made new and that has not been used, in scans.
+    news: f64,
     /// How much of the scans the cloud explains.
     agreement: Agreement,
     /// While the robot may be elsewhere.
@@ -82,10 +82,8 @@ impl ParticleFilter {
             belief: None,
             posterior: Vec::new(),
             affordable: usize::MAX,
-            motion: Pose2::IDENTITY,
             seconds: 0.0,
-            calibration: Calibration::default(),
-            last: None,
+            news: 1.0,
             agreement: Agreement::expecting(sensor.hit),
             search: None,
             rays: 0,
@@ -119,7 +117,7 @@ impl ParticleFilter {
             let off = root * nalgebra::Vector3::from_fn(|_, _| StandardNormal.sample(&mut random));
             let pose = Pose2::new(map_from_base.x + off.x, map_from_base.y + off.y, map_from_base.theta + off.z);
             let pose = self.model.grid.pose_in_cells(&pose);
-            self.particles.push([pose.x as f32, pose.y as f32, pose.theta as f32], 0.0);
+            self.particles.push([pose.x as f32, pose.y as f32, pose.theta as f32], self.model.scale(&mut random), 0.0);
         }
     }
 
@@ -130,8 +128,8 @@ impl ParticleFilter {
     }
 
     fn forget(&mut self) {
+        self.news = 1.0;
         self.belief = None;
-        self.last = None;
         self.particles.clear();
         self.agreement = Agreement::expecting(self.model.sensor.hit);
         self.search = None;
@@ -151,19 +149,20 @@ impl ParticleFilter {
     /// Forgets everything: as new.
     pub fn begin_anew(&mut self) {
         self.streams = Streams::new(self.model.knobs.seed);
-        self.calibration = Calibration::default();
         self.affordable = usize::MAX;
         self.spread();
     }
 
     /// The robot has moved: `motion`, seen from its start, took `seconds`.
     pub fn predict(&mut self, motion: &Pose2, seconds: f64) {
-        (self.motion, self.seconds) = (*motion, seconds);
-        let motion = self.calibration.motion(motion);
+        self.seconds = seconds;
+        // What says that it stands may err.
+        let way = motion.distance() + self.model.motion.speed_error * seconds;
+        self.news = (self.news + way / VIEW.0 + motion.theta.abs() / VIEW.1).min(1.0);
         if let Some(search) = &mut self.search {
-            search.moved(&motion, seconds);
+            search.moved(motion, seconds);
         }
-        let motion = UncertainMotion::new(&self.model.motion, &motion, seconds);
+        let motion = UncertainMotion::new(&self.model.motion, motion, seconds);
         self.model.move_all(&mut self.particles, &motion, self.streams.next());
     }
 
@@ -214,11 +213,8 @@ impl ParticleFilter {
     fn follow(&mut self, belief: &Belief) {
         std::mem::swap(&mut self.particles.log_weight, &mut self.posterior);
         if belief.beams > 0 {
+            self.news = 0.0;
             self.agreement = self.agreement_with(belief.explained);
-        }
-        if let Some(last) = self.last.replace(belief.map_from_base).filter(|_| belief.is_localized() && self.seconds > 0.0) {
-            let predicted = last * self.calibration.motion(&self.motion);
-            self.calibration.learn(&self.motion, &predicted.between(&belief.map_from_base));
         }
         let (count, usual) = (self.len(), self.usual_count());
         let is_off = count > usual || count < usual && self.model.knobs.min_particles.is_none();
@@ -251,7 +247,6 @@ impl ParticleFilter {
             self.search = None;
         } else if self.particles.is_empty() || explained >= self.agreement.recent() + DECIDED {
             self.particles = search.particles_there(&self.model, self.model.knobs.particles as usize, &mut self.streams);
-            self.last = None;
             self.agreement = Agreement::expecting(self.model.sensor.hit);
             self.search = None;
         } else {
@@ -290,7 +285,7 @@ impl ParticleFilter {
         self.posterior = if beams == 0 {
             self.particles.log_weight.clone()
         } else {
-            self.evidence.posterior(&self.particles, 1.0, self.model.knobs.least_effective).0
+            self.evidence.posterior(&self.particles, self.news, self.model.knobs.least_effective).0
         };
         let mut belief = estimate::belief(&self.model, &self.particles, &relative(&self.posterior));
         belief.beams = beams;
@@ -312,7 +307,7 @@ impl ParticleFilter {
         let weights = relative(&self.particles.log_weight);
         self.chosen.clear();
         for index in low_variance(&weights, count, random.random()) {
-            self.chosen.push(self.particles.pose(index), 0.0);
+            self.chosen.push(self.particles.pose(index), self.particles.scale[index], 0.0);
         }
         std::mem::swap(&mut self.particles, &mut self.chosen);
     }

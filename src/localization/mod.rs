@@ -6,7 +6,6 @@
 #![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // particles live in single precision, within the map
 
 mod agreement;
-mod calibration;
 pub mod estimate;
 mod evidence;
 pub mod filter;

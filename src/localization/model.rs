@@ -1,6 +1,7 @@
 //! What a particle filter knows beforehand: the map, how robots move and what lasers see.
 
-use rand::RngExt;
+use rand::{Rng, RngExt};
+use rand_distr::{Distribution, StandardNormal};
 
 use super::LocalizationKnobs;
 use super::agreement::explained;
@@ -59,7 +60,7 @@ impl Model {
             let (column, row) = self.place(random.random_range(0..self.indoors.len()));
             let (x, y) = (column as f32 + random.random::<f32>(), row as f32 + random.random::<f32>());
             let theta = (random.random::<f32>() - 0.5) * std::f32::consts::TAU;
-            particles.push([x, y, theta], log_weight);
+            particles.push([x, y, theta], self.scale(&mut random), log_weight);
         }
     }
 
@@ -75,11 +76,17 @@ impl Model {
         (self.indoors[number] % self.grid.width(), self.indoors[number] / self.grid.width())
     }
 
-    /// Moves a chunk of particles, given by columns, rows and headings.
-    pub(super) fn move_chunk(&self, motion: &UncertainMotion, step: Step, chunk: usize, [x, y, theta]: [&mut [f32]; 3]) {
+    /// One of the scales that distances may have.
+    pub(super) fn scale(&self, random: &mut impl Rng) -> f32 {
+        let normal: f64 = StandardNormal.sample(random);
+        (self.motion.scale_error * normal) as f32
+    }
+
+    /// Moves a chunk of particles, given by columns, rows, headings and scales.
+    pub(super) fn move_chunk(&self, motion: &UncertainMotion, step: Step, chunk: usize, [x, y, theta, scale]: [&mut [f32]; 4]) {
         let (mut random, per_metre) = (step.stream(chunk), self.grid.resolution().recip());
-        for ((x, y), theta) in x.iter_mut().zip(y).zip(theta) {
-            let step = motion.sample(&mut random);
+        for (((x, y), theta), scale) in x.iter_mut().zip(y).zip(theta).zip(scale) {
+            let step = motion.sample(scale, &mut random);
             let (sin, cos) = (*theta + step.direction as f32).sin_cos();
             let (ahead, left) = ((step.ahead * per_metre) as f32, (step.left * per_metre) as f32);
             *x += ahead * cos - left * sin;
@@ -90,9 +97,9 @@ impl Model {
 
     /// Moves all particles.
     pub(super) fn move_all(&self, particles: &mut Particles, motion: &UncertainMotion, step: Step) {
-        let Particles { x, y, theta, .. } = particles;
-        let chunks = x.chunks_mut(CHUNK).zip(y.chunks_mut(CHUNK)).zip(theta.chunks_mut(CHUNK));
-        self.workers.share(chunks, |chunk, ((x, y), theta)| self.move_chunk(motion, step, chunk, [x, y, theta]));
+        let Particles { x, y, theta, scale, .. } = particles;
+        let chunks = x.chunks_mut(CHUNK).zip(y.chunks_mut(CHUNK)).zip(theta.chunks_mut(CHUNK)).zip(scale.chunks_mut(CHUNK));
+        self.workers.share(chunks, |chunk, (((x, y), theta), scale)| self.move_chunk(motion, step, chunk, [x, y, theta, scale]));
     }
 
     /// Where a laser is, in cells, that is at this pose of the base.

@@ -27,6 +27,10 @@ crate::knobs! {
     pub struct MotionKnobs {
         /// Which model.
         model: MotionModel = MotionModel::Car;
+        /// Standard deviation of the part by which odometry's distances are all too long or too short.
+        scale_error: f64 = 0.05, in 0 to 0.5;
+        /// Way after which that part has become another one.
+        scale_reach: f64 = 20.0, in 0.1 to 10_000, unit "m";
         /// Standard deviation of the speed (car).
         speed_error: f64 = 0.1, in 0 to 10, unit "m/s";
         /// Standard deviation of the steering angle (car).
@@ -47,21 +51,27 @@ crate::knobs! {
 }
 
 /// A motion that is known up to some errors.
+///
+/// Those of one step average out over many, but a wheel that is smaller than it is taken to be makes every way too long in proportion: where
+/// scans tell little of the way, as in a corridor, the cloud then ends up ahead of the robot by many times what it takes itself to be off.
+/// So each particle has a scale of its own, and those whose scale is right survive. The scale wanders, as load and slip change (an
+/// Ornstein-Uhlenbeck process along the way).
 #[derive(Clone, Debug)]
-pub(super) enum UncertainMotion {
+pub(super) struct UncertainMotion {
+    errors: Errors,
+    /// What remains of the scale, and the standard deviation of what replaces the rest.
+    keep: f32,
+    renew: f32,
+}
+
+/// By the model.
+#[derive(Clone, Debug)]
+enum Errors {
     Car { twist: Twist2, steering: f64, seconds: f64, speed_error: f64, steering_error: f64, sideslip_error: f64, wheelbase: f64 },
     Differential { rotations: [f64; 2], way: f64, deviations: [f64; 3] },
 }
 
-impl UncertainMotion {
-    /// `motion`, seen from its start, took `seconds`.
-    pub(super) fn new(knobs: &MotionKnobs, motion: &Pose2, seconds: f64) -> Self {
-        match knobs.model {
-            MotionModel::Car => Self::car(knobs, motion, seconds.max(1e-6)),
-            MotionModel::Differential => Self::differential(knobs, motion),
-        }
-    }
-
+impl Errors {
     fn car(knobs: &MotionKnobs, motion: &Pose2, seconds: f64) -> Self {
         let twist = Twist2::of_motion(motion, seconds);
         let moving = twist.vx.abs() > STANDING;
@@ -82,13 +92,27 @@ impl UncertainMotion {
         let deviations = [rotation(first), (knobs.alpha3 * way).hypot(knobs.alpha4 * both), rotation(second)];
         Self::Differential { rotations: [first, second], way, deviations }
     }
+}
 
-    /// One of the motions that it may have been: the way, in metres, its direction seen from the start, and the turn.
+impl UncertainMotion {
+    /// `motion`, seen from its start, took `seconds`.
+    pub(super) fn new(knobs: &MotionKnobs, motion: &Pose2, seconds: f64) -> Self {
+        let errors = match knobs.model {
+            MotionModel::Car => Errors::car(knobs, motion, seconds.max(1e-6)),
+            MotionModel::Differential => Errors::differential(knobs, motion),
+        };
+        let keep = (-motion.distance() / knobs.scale_reach).exp();
+        Self { errors, keep: keep as f32, renew: (knobs.scale_error * (1.0 - keep * keep).sqrt()) as f32 }
+    }
+
+    /// One of the motions that it may have been where distances are longer by the part `scale`, which wanders on.
     #[inline]
-    pub(super) fn sample(&self, random: &mut impl Rng) -> Sampled {
+    pub(super) fn sample(&self, scale: &mut f32, random: &mut impl Rng) -> Sampled {
         let mut normal = || -> f64 { StandardNormal.sample(random) };
-        match self {
-            Self::Car { twist, steering, seconds, speed_error, steering_error, sideslip_error, wheelbase } => {
+        *scale = self.keep * *scale + self.renew * normal() as f32;
+        let stretch = 1.0 + f64::from(*scale);
+        match &self.errors {
+            Errors::Car { twist, steering, seconds, speed_error, steering_error, sideslip_error, wheelbase } => {
                 let speed = twist.vx + speed_error * normal();
                 let error = steering_error * normal();
                 let omega = if twist.vx.abs() > STANDING {
@@ -98,11 +122,11 @@ impl UncertainMotion {
                 };
                 let turn = omega * seconds;
                 let direction = 0.5 * turn + sideslip_error * normal();
-                Sampled { ahead: speed * seconds, left: twist.vy * seconds, direction, turn }
+                Sampled { ahead: speed * seconds * stretch, left: twist.vy * seconds * stretch, direction, turn }
             }
-            Self::Differential { rotations: [first, second], way, deviations } => {
+            Errors::Differential { rotations: [first, second], way, deviations } => {
                 let first = first + deviations[0] * normal();
-                let way = way + deviations[1] * normal();
+                let way = way * stretch + deviations[1] * normal();
                 let second = second + deviations[2] * normal();
                 Sampled { ahead: way, left: 0.0, direction: first, turn: first + second }
             }
@@ -124,13 +148,33 @@ mod tests {
     use rand::SeedableRng;
 
     #[test]
+    fn a_scale_stays_for_metres_and_is_forgotten_over_many() {
+        let knobs = MotionKnobs::default();
+        let uncertain = UncertainMotion::new(&knobs, &Pose2::new(0.1, 0.0, 0.0), 0.05);
+        let mut random = rand_pcg::Pcg64::seed_from_u64(1);
+        let mut scales = vec![0.1_f32; 2000];
+        let mut after = |steps: u32| {
+            for scale in &mut scales {
+                (0..steps).for_each(|_| drop(uncertain.sample(scale, &mut random)));
+            }
+            let mean = scales.iter().sum::<f32>() / scales.len() as f32;
+            let variance = scales.iter().map(|scale| (scale - mean).powi(2)).sum::<f32>() / scales.len() as f32;
+            (f64::from(mean), f64::from(variance.sqrt()))
+        };
+        let (mean, deviation) = after(10);
+        assert!(mean > 0.09 && deviation < 0.02, "after a metre: {mean}, {deviation}");
+        let (mean, deviation) = after(1000);
+        assert!(mean.abs() < 0.005 && (deviation - knobs.scale_error).abs() < 0.005, "after a hundred: {mean}, {deviation}");
+    }
+
+    #[test]
     fn samples_lie_about_the_motion_as_far_as_the_errors_say() {
         let motion = Twist2 { vx: 2.0, vy: 0.0, omega: 1.0 }.motion(0.1);
         for &model in MotionModel::ALL {
             let knobs = MotionKnobs { model, ..MotionKnobs::default() };
             let uncertain = UncertainMotion::new(&knobs, &motion, 0.1);
             let mut random = rand_pcg::Pcg64::seed_from_u64(1);
-            let samples: Vec<Sampled> = (0..20_000).map(|_| uncertain.sample(&mut random)).collect();
+            let samples: Vec<Sampled> = (0..20_000).map(|_| uncertain.sample(&mut 0.0, &mut random)).collect();
             let mean = |of: fn(&Sampled) -> f64| samples.iter().map(of).sum::<f64>() / samples.len() as f64;
             let deviation = |of: fn(&Sampled) -> f64| {
                 let mean = mean(of);

@@ -9,6 +9,8 @@ pub(super) struct Particles {
     pub(super) y: Vec<f32>,
     /// Headings, rad.
     pub(super) theta: Vec<f32>,
+    /// Parts by which distances are longer than odometry says.
+    pub(super) scale: Vec<f32>,
     /// Logarithms of the weights, up to a constant.
     pub(super) log_weight: Vec<f32>,
 }
@@ -18,10 +20,11 @@ impl Particles {
         self.x.len()
     }
 
-    pub(super) fn push(&mut self, [x, y, theta]: [f32; 3], log_weight: f32) {
+    pub(super) fn push(&mut self, [x, y, theta]: [f32; 3], scale: f32, log_weight: f32) {
         self.x.push(x);
         self.y.push(y);
         self.theta.push(theta);
+        self.scale.push(scale);
         self.log_weight.push(log_weight);
     }
 
@@ -29,6 +32,7 @@ impl Particles {
         self.x.clear();
         self.y.clear();
         self.theta.clear();
+        self.scale.clear();
         self.log_weight.clear();
     }
 

@@ -63,7 +63,7 @@ mod tests {
     #[test]
     fn a_wider_cloud_takes_more_particles() {
         let mut particles = Particles::default();
-        (0..100).for_each(|i| particles.push([i as f32 * 20.0, 0.0, 0.0], 0.0));
+        (0..100).for_each(|i| particles.push([i as f32 * 20.0, 0.0, 0.0], 0.0, 0.0));
         let few = kld_count(&particles, 0..2, 0.05, 0.05);
         let many = kld_count(&particles, 0..100, 0.05, 0.05);
         assert!((40..100).contains(&few) && (1200..1600).contains(&many), "{few} {many}");

@@ -203,12 +203,13 @@ impl Search {
         let motion = (seconds > 0.0).then(|| UncertainMotion::new(&model.motion, &motion, seconds));
         let (mount, scan, step) = (model.mount(&self.base_from_laser), &self.scan, self.step);
         let rows = model.global_beams.rows(&scan.ranges);
-        let Particles { x, y, theta, .. } = &mut self.particles;
+        let Particles { x, y, theta, scale, .. } = &mut self.particles;
         let poses = x[first..end].chunks_mut(CHUNK).zip(y[first..end].chunks_mut(CHUNK)).zip(theta[first..end].chunks_mut(CHUNK));
+        let poses = poses.zip(scale[first..end].chunks_mut(CHUNK));
         let tasks = poses.zip(self.log_likelihoods[first..end].chunks_mut(CHUNK));
-        model.workers.share(tasks, |chunk, (((x, y), theta), sums)| {
+        model.workers.share(tasks, |chunk, ((((x, y), theta), scale), sums)| {
             if let Some(motion) = &motion {
-                model.move_chunk(motion, step, first / CHUNK + chunk, [&mut *x, &mut *y, &mut *theta]);
+                model.move_chunk(motion, step, first / CHUNK + chunk, [&mut *x, &mut *y, &mut *theta, scale]);
             }
             let views: Vec<_> = (0..x.len()).map(|i| mount.view(x[i], y[i], theta[i])).collect();
             let mut lengths = vec![0.0; scan.len() * views.len()];
@@ -277,7 +278,7 @@ impl Search {
                 let normal: f32 = StandardNormal.sample(&mut random);
                 *value += deviation * normal;
             }
-            self.chosen.push(pose, 0.0);
+            self.chosen.push(pose, self.particles.scale[index], 0.0);
         }
         std::mem::swap(&mut self.particles, &mut self.chosen);
     }
@@ -332,7 +333,7 @@ impl Search {
             }
         }
         for index in low_variance(&weights, count, streams.next().stream(0).random()) {
-            there.push(self.particles.pose(index), 0.0);
+            there.push(self.particles.pose(index), self.particles.scale[index], 0.0);
         }
         if self.since.seconds > 0.0 {
             let motion = UncertainMotion::new(&model.motion, &self.since.motion, self.since.seconds);

@@ -69,6 +69,11 @@ impl MotionSources {
         self.wheels.last_stamp()
     }
 
+    /// Where wheel odometry says that the base is when its own clock says `stamp`.
+    pub fn wheel_pose(&self, stamp: Stamp) -> Option<Pose2> {
+        self.wheels.pose_at(stamp)
+    }
+
     /// A scan shows where the wheels had the robot so long before its stamp, s.
     pub fn wheel_lag(&self) -> f64 {
         self.wheel_lag.seconds()

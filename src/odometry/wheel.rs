@@ -91,8 +91,9 @@ impl WheelOdometry {
         Some(self.pose_at(from)?.between(&self.pose_at(to)?))
     }
 
-    /// Interpolated between messages; carried on from the last one by its velocity (its own, or that of the last two) for a while.
-    fn pose_at(&self, stamp: Stamp) -> Option<Pose2> {
+    /// The pose of the base: between messages interpolated; for a while after the last one carried on by its velocity (its own, or that of
+    /// the last two).
+    pub fn pose_at(&self, stamp: Stamp) -> Option<Pose2> {
         let after = self.samples.partition_point(|sample| sample.stamp < stamp);
         match (after.checked_sub(1).map(|i| self.samples[i]), self.samples.get(after)) {
             (_, Some(after)) if after.stamp == stamp => Some(after.pose),
