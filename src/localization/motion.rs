@@ -155,7 +155,9 @@ mod tests {
         let mut scales = vec![0.1_f32; 2000];
         let mut after = |steps: u32| {
             for scale in &mut scales {
-                (0..steps).for_each(|_| drop(uncertain.sample(scale, &mut random)));
+                (0..steps).for_each(|_| {
+                    uncertain.sample(scale, &mut random);
+                });
             }
             let mean = scales.iter().sum::<f32>() / scales.len() as f32;
             let variance = scales.iter().map(|scale| (scale - mean).powi(2)).sum::<f32>() / scales.len() as f32;
