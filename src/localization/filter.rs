@@ -28,8 +28,8 @@ use crate::raycasting::Fan;
 /// Two poses this near to each other, m and rad, are of one place.
 const SAME_PLACE: (f64, f64) = (1.0, 0.6);
 /// Scans from nearer than this, m and rad, show the same parts of the same walls, and err alike by what the map and the ray casting err
-/// there: together they are no more evidence than one. Five cells of a usual map: its errors are those of single cells, and of a few.
-const VIEW: (f64, f64) = (0.25, 0.25);
+/// there: together they are no more evidence than one. Two cells of a usual map.
+const VIEW: (f64, f64) = (0.1, 0.1);
 /// Time between two scans if it is not known, s.
 const PERIOD: f64 = 0.025;
 
