@@ -184,7 +184,7 @@ fn tracks(map: &OccupancyGrid, name: &str, (seconds, metres): (f64, f64), thread
 
 #[test]
 fn a_drive_is_tracked() {
-    tracks(&corridor(), "made-up corridor", (25.0, 40.0), 0, (0.0122, 0.152));
+    tracks(&corridor(), "made-up corridor", (25.0, 40.0), 0, (0.0152, 0.21));
 }
 
 #[test]
