@@ -35,7 +35,7 @@ pub enum RecordError {
 }
 
 /// Where a drive has its true poses.
-const TRUTH: &str = "/gt_pose";
+pub const TRUTH: &str = "/gt_pose";
 const SCANS: &str = "/scan";
 const MOUNT: &str = "/tf_static";
 

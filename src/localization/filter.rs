@@ -17,6 +17,7 @@ use super::search::Search;
 use super::sensor::SensorKnobs;
 use super::streams::Streams;
 use super::update::{Searching, particles_for};
+use super::view::View;
 use crate::anytime::contract::Contract;
 use crate::anytime::cost_model::Phase;
 use crate::anytime::{Driver, ErrorEstimate, Outlook, Work};
@@ -29,7 +30,7 @@ use crate::raycasting::Fan;
 const SAME_PLACE: (f64, f64) = (1.0, 0.6);
 /// Scans from nearer than this, m and rad, show the same parts of the same walls, and err alike by what the map and the ray casting err
 /// there: together they are no more evidence than one. Two cells of a usual map.
-const VIEW: (f64, f64) = (0.1, 0.1);
+const VIEW: View = View { way: 0.1, turn: 0.1 };
 /// Time between two scans if it is not known, s.
 const PERIOD: f64 = 0.025;
 
@@ -157,8 +158,7 @@ impl ParticleFilter {
     pub fn predict(&mut self, motion: &Pose2, seconds: f64) {
         self.seconds = seconds;
         // What says that it stands may err.
-        let way = motion.distance() + self.model.motion.speed_error * seconds;
-        self.news = (self.news + way / VIEW.0 + motion.theta.abs() / VIEW.1).min(1.0);
+        self.news = VIEW.news(self.news, motion, self.model.motion.speed_error * seconds);
         if let Some(search) = &mut self.search {
             search.moved(motion, seconds);
         }

@@ -19,6 +19,7 @@ mod search;
 pub mod sensor;
 mod streams;
 mod update;
+mod view;
 
 use std::time::Duration;
 

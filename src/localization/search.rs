@@ -18,6 +18,7 @@ use super::recovery::Fit;
 use super::resampling::{kld_count, low_variance};
 use super::sensor::expected_fit;
 use super::streams::{CHUNK, Step, Streams};
+use super::view::View;
 use crate::geometry::{Pose2, wrap_angle};
 
 /// Work for each second of the robot's time: a fifth of what one core casts all over a map (`cargo bench --bench raycasting`).
@@ -29,7 +30,7 @@ const CHUNKS: usize = 4;
 /// What weighing a particle or choosing it costs beside the casting, in rays.
 const RAYS_PER_PARTICLE: usize = 4;
 /// Scans from nearer than this, m and rad, show the same once more: together they are no more evidence than one.
-const VIEW: (f64, f64) = (0.5, 0.5);
+const VIEW: View = View { way: 0.5, turn: 0.5 };
 /// Less news than this, in scans, is not worth taking a scan in.
 const LEAST_NEWS: f64 = 0.1;
 /// Each particle is moved by so much when chosen: no two shall stand for the same pose. Cells, rad.
@@ -138,7 +139,7 @@ impl Search {
 
     /// The robot has moved.
     pub(super) fn moved(&mut self, motion: &Pose2, seconds: f64) {
-        self.news = (self.news + motion.distance() / VIEW.0 + motion.theta.abs() / VIEW.1).min(1.0);
+        self.news = VIEW.news(self.news, motion, 0.0);
         self.lead.way += motion.distance();
         self.since.add(motion, seconds);
         if let Some(belief) = &mut self.belief {

@@ -28,11 +28,7 @@ pub(super) struct Shared {
 
 /// What an algorithm works with.
 pub(super) struct Context {
-    pub(super) mailbox: Arc<Mailbox>,
-    pub(super) interrupts: Arc<Interrupts>,
-    pub(super) clock: Arc<dyn Clock>,
-    pub(super) monitor: Arc<Monitor>,
-    pub(super) log: Log,
+    pub(super) shared: Shared,
     pub(super) reader: Reader,
     /// Of this thread.
     pub(super) urgency: Urgency,
@@ -43,36 +39,35 @@ pub(super) struct Context {
 impl Context {
     /// Of the thread that calls.
     pub(super) fn new(shared: Shared) -> Self {
-        let Shared { mailbox, interrupts, clock, monitor, log } = shared;
-        let reader = Reader::new(&clock, &log, &monitor);
-        let urgency = Urgency::of_this_thread();
-        Self { mailbox, interrupts, clock, monitor, log, reader, urgency, mount_told: None, first_answer: None }
+        let reader = Reader::new(&shared.clock, &shared.log, &shared.monitor);
+        Self { shared, reader, urgency: Urgency::of_this_thread(), mount_told: None, first_answer: None }
     }
 
     /// Says so if answers cannot go before other programs.
     pub(super) fn tell_priority(&self) {
         if !self.urgency.is_permitted() {
-            self.log
+            self.shared
+                .log
                 .info("real-time priority is not permitted (CAP_SYS_NICE, or ulimit -r): busy programs can make answers late");
         }
     }
 
     /// Says once where the laser's place is known from, or that it is not.
     pub(super) fn watch_mount(&mut self, (mount, source): (Mount, MountSource)) {
-        let now = self.clock.now();
+        let now = self.shared.clock.now();
         let waited = now.saturating_sub(*self.first_answer.get_or_insert(now));
         if self.mount_told == Some(source) || (source == MountSource::Assumed && waited < MOUNT_TIMEOUT) {
             return;
         }
         self.mount_told = Some(source);
-        self.monitor.set_condition(MOUNT_ASSUMED, source == MountSource::Assumed);
+        self.shared.monitor.set_condition(MOUNT_ASSUMED, source == MountSource::Assumed);
         let place = mount.base_from_laser;
         let head = if mount.upside_down { ", upside down" } else { "" };
         let text = format!("[{:.3} m, {:.3} m, {:.3} rad]{head}", place.x, place.y, place.theta);
         match source {
-            MountSource::Parameter => self.log.info(&format!("the laser's place on the base is {text}, by odometry.laser_in_base")),
-            MountSource::Transforms => self.log.info(&format!("the laser's place on the base is {text}, by tf")),
-            MountSource::Assumed => self.log.warn(
+            MountSource::Parameter => self.shared.log.info(&format!("the laser's place on the base is {text}, by odometry.laser_in_base")),
+            MountSource::Transforms => self.shared.log.info(&format!("the laser's place on the base is {text}, by tf")),
+            MountSource::Assumed => self.shared.log.warn(
                 "the laser's place on the base is not known and taken to be the base's origin: set the parameter \
                  odometry.laser_in_base to [x, y, yaw], or publish the transform from the base frame to the laser's on /tf_static",
             ),
@@ -82,7 +77,7 @@ impl Context {
     /// Says what is odd in the scans.
     pub(super) fn tell(&self, remarks: Vec<String>) {
         for remark in remarks {
-            self.log.warn(&format!("scan: {remark}"));
+            self.shared.log.warn(&format!("scan: {remark}"));
         }
     }
 }

@@ -65,9 +65,9 @@ impl<A: Algorithm> Worker<A> {
             self.handle(events);
             if let Some(scan) = scan {
                 let unused = self.held.replace(scan).is_some();
-                self.context.mailbox.count_lost_scans(unused.into());
+                self.context.shared.mailbox.count_lost_scans(unused.into());
             }
-            let now = self.context.clock.now();
+            let now = self.context.shared.clock.now();
             if timer.as_mut().is_none_or(|timer| timer.is_due(now)) {
                 match self.held.take() {
                     // Where a timer calls for the answer, the time counts from its call.
@@ -82,10 +82,10 @@ impl<A: Algorithm> Worker<A> {
     }
 
     fn next_work(&self, timer: Option<&Timer>) -> Option<Work> {
-        self.context.mailbox.set_patience(self.algorithm.patience_in_line());
+        self.context.shared.mailbox.set_patience(self.algorithm.patience_in_line());
         match timer {
-            Some(timer) => self.context.mailbox.take_within(timer.left(self.context.clock.now())),
-            None => self.context.mailbox.take(),
+            Some(timer) => self.context.shared.mailbox.take_within(timer.left(self.context.shared.clock.now())),
+            None => self.context.shared.mailbox.take(),
         }
     }
 
@@ -103,13 +103,13 @@ impl<A: Algorithm> Worker<A> {
     }
 
     fn answer(&mut self, raw: &RawMessage, arrival: Duration) {
-        self.context.interrupts.begin();
+        self.context.shared.interrupts.begin();
         match self.read_sensed(raw) {
             Some(scan) => {
                 self.await_odometry(scan.stamp(), arrival);
                 self.algorithm.answer(&scan, arrival, &mut self.context);
             }
-            None => self.context.interrupts.abandon(),
+            None => self.context.shared.interrupts.abandon(),
         }
     }
 
@@ -124,8 +124,10 @@ impl<A: Algorithm> Worker<A> {
     /// Holds a scan back while the algorithm wants to see more odometry first.
     fn await_odometry(&mut self, stamp: Stamp, arrival: Duration) {
         while let Some(longest) = self.algorithm.wait_for_odometry(stamp) {
-            let left = (arrival + longest).saturating_sub(self.context.clock.now());
-            let Some(events) = self.context.mailbox.events_for_held_scan(left, &*self.context.interrupts) else { return };
+            let left = (arrival + longest).saturating_sub(self.context.shared.clock.now());
+            let Some(events) = self.context.shared.mailbox.events_for_held_scan(left, &*self.context.shared.interrupts) else {
+                return;
+            };
             self.handle(events);
         }
     }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::io::bag::{Bag, Compression};
-use anytime_scan_matcher::io::map_file;
+use anytime_scan_matcher::io::{map_file, simulated_bag};
 use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::profile::plan::Plan;
@@ -20,9 +20,6 @@ use crate::input_flags::Files;
 use crate::outcome::usage;
 use crate::profile_flags::Arguments;
 use crate::{progress, simulate, terminal};
-
-/// Where a simulated drive has its true poses.
-const SIMULATED_TRUTH: &str = "/gt_pose";
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { out, input, .. } = arguments;
@@ -110,7 +107,7 @@ fn bag_path(arguments: &Arguments) -> anyhow::Result<PathBuf> {
 fn truth_name(arguments: &Arguments, bag: &Bag) -> anyhow::Result<String> {
     match &arguments.input.truth {
         Some(name) => Ok(name.clone()),
-        None if arguments.world.is_some() => Ok(SIMULATED_TRUTH.into()),
+        None if arguments.world.is_some() => Ok(simulated_bag::TRUTH.into()),
         None => {
             let candidates = [bag.topics_of::<PoseStamped>(), bag.topics_of::<Odometry>()].concat();
             let candidates = if candidates.is_empty() { "none".into() } else { candidates.join(", ") };

@@ -103,14 +103,14 @@ impl Algorithm for Controller {
         let time = now.saturating_sub(std::mem::replace(&mut self.logged, now));
         let budget = self.asking.contract(self.speed).time_budget.map_or_else(|| "none".into(), |time| format!("{time:.2?}"));
         let line = self.adherence.sum_up();
-        context.log.info(&format!("{:.2} m/s, budget {budget}; in {time:.1?}: {line}", self.speed));
+        context.shared.log.info(&format!("{:.2} m/s, budget {budget}; in {time:.1?}: {line}", self.speed));
         if let Some(problem) = self.adherence.disagreement() {
-            context.log.warn(&problem);
+            context.shared.log.warn(&problem);
         }
     }
 
     fn end(&mut self, context: &Context) {
-        context.log.info(&format!("in all: {}", self.adherence.total()));
+        context.shared.log.info(&format!("in all: {}", self.adherence.total()));
     }
 }
 

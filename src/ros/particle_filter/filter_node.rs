@@ -126,16 +126,16 @@ impl FilterNode {
         };
         match outcome {
             Ok(()) => {
-                context.monitor.set_condition(NO_MAP, false);
-                context.log.info(&format!("has a map of {size}"));
+                context.shared.monitor.set_condition(NO_MAP, false);
+                context.shared.log.info(&format!("has a map of {size}"));
             }
-            Err(error) => context.log.error(&format!("the map of {size} is unusable: {error}")),
+            Err(error) => context.shared.log.error(&format!("the map of {size} is unusable: {error}")),
         }
     }
 
     fn begin_on(&mut self, map: OccupancyGrid, context: &mut Context) -> Result<(), LocalizerError> {
-        let mut localizer = Localizer::new(map, &self.config, Arc::clone(&context.clock))?;
-        localizer.set_interrupt(Arc::clone(&context.interrupts) as Arc<dyn Interrupt>);
+        let mut localizer = Localizer::new(map, &self.config, Arc::clone(&context.shared.clock))?;
+        localizer.set_interrupt(Arc::clone(&context.shared.interrupts) as Arc<dyn Interrupt>);
         localizer.warm_up();
         localizer.set_transforms(std::mem::take(&mut self.transforms));
         if let Some(contract) = self.contract.take() {
@@ -152,15 +152,15 @@ impl FilterNode {
     fn give_way(&mut self, message: &TFMessage, sender: &str, context: &Context) {
         let odom_frame = &self.config.frames.odom_frame;
         let Some(other) = ConflictingPublisher::find(message, sender, odom_frame) else { return };
-        let now = context.clock.now();
+        let now = context.shared.clock.now();
         let is_recent = |heard: Duration| now.saturating_sub(heard) <= CONFLICT_TIMEOUT;
         let since = self.other.filter(|(_, last)| is_recent(*last)).map_or(now, |(since, _)| since);
         self.other = Some((since, now));
         if !is_recent(since)
             && let Some(warning) = self.publishers.transform().give_way(&other, odom_frame)
         {
-            context.log.warn(&warning);
-            context.monitor.set_condition(TRANSFORM_WITHHELD, true);
+            context.shared.log.warn(&warning);
+            context.shared.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
     }
 
@@ -168,12 +168,12 @@ impl FilterNode {
         if let Some(localizer) = &self.localizer {
             context.watch_mount(localizer.mount());
         }
-        context.monitor.set_condition(NOT_LOCALIZED, !fix.belief.as_ref().is_ok_and(Belief::is_localized));
+        context.shared.monitor.set_condition(NOT_LOCALIZED, !fix.belief.as_ref().is_ok_and(Belief::is_localized));
         let problem = fix.belief.as_ref().err().map(ToString::to_string);
         if let Some(problem) = &problem {
             context.reader.warn("scan", &format!("not used: {problem}"));
         }
-        context.monitor.record(Sample { elapsed: fix.elapsed, overrun: fix.overrun(), problem });
+        context.shared.monitor.record(Sample { elapsed: fix.elapsed, overrun: fix.overrun(), problem });
     }
 }
 
@@ -183,7 +183,7 @@ impl Algorithm for FilterNode {
 
     fn begin(&mut self, context: &mut Context) {
         context.tell_priority();
-        context.monitor.set_condition(NO_MAP, true);
+        context.shared.monitor.set_condition(NO_MAP, true);
         if let Some(map) = self.file_map.take() {
             self.set_map(map, context);
         }
@@ -192,7 +192,7 @@ impl Algorithm for FilterNode {
     fn request(&mut self, request: Request, context: &mut Context) {
         match (request, &mut self.localizer) {
             (Request::Reset, Some(localizer)) => localizer.spread(),
-            (Request::Reset, None) => context.log.warn(NO_MAP),
+            (Request::Reset, None) => context.shared.log.warn(NO_MAP),
             (Request::SaveProfile | Request::Change(_), _) => {} // the scan matcher's alone
         }
     }
@@ -214,9 +214,9 @@ impl Algorithm for FilterNode {
         context.urgency.set(false);
         let_writers_go_first();
         let (_, fix) = answered.parts();
-        publishers.publish_report(fix, context.mailbox.dropped().scans, &config.frames.map_frame);
+        publishers.publish_report(fix, context.shared.mailbox.dropped().scans, &config.frames.map_frame);
         let_writers_go_first();
-        let fix = answered.maintain(&NextScan(&context.mailbox));
+        let fix = answered.maintain(&NextScan(&context.shared.mailbox));
         if let Ok(belief) = &fix.belief {
             publishers.publish_display(localizer, scan, &belief.map_from_base);
         }

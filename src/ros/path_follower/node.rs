@@ -132,7 +132,7 @@ impl FollowerNode<'_> {
     fn say(&self, remark: Option<Remark>, context: &mut Context) {
         match remark {
             // A planner that plans again and again is no news.
-            Some(Remark::Info(text)) if self.stop.is_some() || self.number == 0 => context.log.info(&text),
+            Some(Remark::Info(text)) if self.stop.is_some() || self.number == 0 => context.shared.log.info(&text),
             None | Some(Remark::Info(_)) => {}
             Some(Remark::Warning(text)) => context.reader.warn("path", &text),
         }
@@ -142,7 +142,7 @@ impl FollowerNode<'_> {
     fn command(&mut self, context: &Context) {
         let now = self.now();
         let step = self.intake.follower.command(now);
-        self.tell_stop(&step, &context.log);
+        self.tell_stop(&step, &context.shared.log);
         let (number, frame) = (self.number, self.intake.frame());
         let path = self.intake.follower.progress().map(Progress::path);
         self.publishers.report.send(|| convert::report(number, now, frame, &step, path));
@@ -150,7 +150,7 @@ impl FollowerNode<'_> {
             self.publishers.drive.send(|| convert::drive(number, now, &self.base_frame, &step));
             self.number = self.number.wrapping_add(1).max(1);
         }
-        if self.markers.is_due(context.clock.now())
+        if self.markers.is_due(context.shared.clock.now())
             && self.publishers.markers.has_listeners()
             && let Some(path) = path
         {
@@ -180,7 +180,7 @@ impl Algorithm for FollowerNode<'_> {
     /// A call of the service `~resume`.
     fn request(&mut self, request: Request, context: &mut Context) {
         if request == Request::Reset {
-            context.log.info("told to go on");
+            context.shared.log.info("told to go on");
             self.intake.follower.resume();
         }
     }

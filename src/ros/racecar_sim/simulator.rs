@@ -113,22 +113,22 @@ impl Simulator<'_> {
     fn inputs() -> Vec<Input<Self>> {
         vec![
             Input::with_context("drive", |simulator: &mut Self, message: &AckermannDriveStamped, _, context| {
-                simulator.catch_up(context.clock.now());
+                simulator.catch_up(context.shared.clock.now());
                 let curvature = f64::from(message.drive.steering_angle).tan() / simulator.wheelbase;
                 simulator.obey(Command { speed: message.drive.speed.into(), curvature })
             }),
             Input::with_context("cmd_vel", |simulator: &mut Self, Twist { linear, angular }: &Twist, _, context| {
-                simulator.catch_up(context.clock.now());
+                simulator.catch_up(context.shared.clock.now());
                 let speed = linear.x;
                 let curvature = if speed.abs() < LEAST_TURNING_SPEED { 0.0 } else { angular.z / speed };
                 simulator.obey(Command { speed, curvature })
             }),
             Input::with_context("pose", |simulator: &mut Self, message: &PoseStamped, _, context| {
-                simulator.catch_up(context.clock.now());
+                simulator.catch_up(context.shared.clock.now());
                 simulator.teleport(&message.pose)
             }),
             Input::with_context("initialpose", |simulator: &mut Self, message: &PoseWithCovarianceStamped, _, context| {
-                simulator.catch_up(context.clock.now());
+                simulator.catch_up(context.shared.clock.now());
                 simulator.teleport(&message.pose.pose)
             }),
         ]
@@ -212,6 +212,6 @@ impl Simulator<'_> {
 
 impl Algorithm for Simulator<'_> {
     fn carry_on(&mut self, context: &mut Context) {
-        self.catch_up(context.clock.now());
+        self.catch_up(context.shared.clock.now());
     }
 }

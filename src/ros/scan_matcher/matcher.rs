@@ -103,8 +103,8 @@ impl Matcher {
 
     fn withhold(&self, other: &ConflictingPublisher, child: &str, context: &Context) {
         if let Some(warning) = self.publishers.transform().give_way(other, child) {
-            context.log.warn(&warning);
-            context.monitor.set_condition(TRANSFORM_WITHHELD, true);
+            context.shared.log.warn(&warning);
+            context.shared.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
     }
 
@@ -113,12 +113,12 @@ impl Matcher {
             context.reader.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
         }
         let disbelieved = estimate.registration.disbelieved;
-        context.monitor.set_condition(ODOMETRY_DISBELIEVED, disbelieved.odometry);
-        context.monitor.set_condition(IMU_DISBELIEVED, disbelieved.imu);
-        context.monitor.set_condition(OUTSIDE_PROFILE, estimate.outside_profile.is_some());
-        context.monitor.set_odometry_lag(self.app.odometry_lag());
+        context.shared.monitor.set_condition(ODOMETRY_DISBELIEVED, disbelieved.odometry);
+        context.shared.monitor.set_condition(IMU_DISBELIEVED, disbelieved.imu);
+        context.shared.monitor.set_condition(OUTSIDE_PROFILE, estimate.outside_profile.is_some());
+        context.shared.monitor.set_odometry_lag(self.app.odometry_lag());
         context.watch_mount(self.app.mount());
-        context.monitor.record(Sample::from(estimate));
+        context.shared.monitor.record(Sample::from(estimate));
     }
 }
 
@@ -157,24 +157,25 @@ impl Algorithm for Matcher {
             publishers.publish_pose(&Outgoing { estimate, number: number(app), frames: &app.config().frames });
         });
         let (app, estimate) = answered.parts();
-        context.interrupts.publish(estimate);
+        context.shared.interrupts.publish(estimate);
         context.urgency.set(false);
         let_writers_go_first();
-        let (now, answer) = (context.clock.now(), Outgoing { estimate, number: number(app), frames: &app.config().frames });
-        publishers.publish_details(&answer, app.odometry_counters(), context.mailbox.dropped().scans);
+        let (now, answer) =
+            (context.shared.clock.now(), Outgoing { estimate, number: number(app), frames: &app.config().frames });
+        publishers.publish_details(&answer, app.odometry_counters(), context.shared.mailbox.dropped().scans);
         publishers.publish_display(&answer, app.matched_points(), now);
         let_writers_go_first();
         if let Some(map) = map {
             map.send(scan, estimate, app);
         }
-        let estimate = answered.maintain(&NextScan(&context.mailbox));
+        let estimate = answered.maintain(&NextScan(&context.shared.mailbox));
         context.tell(self.app.take_remarks());
         self.watch(&estimate, context);
     }
 
     fn end(&mut self, context: &Context) {
         if let Err(error) = self.app.store_costs() {
-            context.log.warn(&error.to_string());
+            context.shared.log.warn(&error.to_string());
         }
     }
 }
