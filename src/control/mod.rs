@@ -18,4 +18,5 @@ pub mod policy;
 pub mod progress;
 pub mod safety;
 pub mod speed;
+pub mod trim;
 pub mod waypoint_file;
