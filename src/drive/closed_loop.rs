@@ -180,10 +180,7 @@ impl<'a> Loop<'a> {
     fn new(setup: &'a Setup<'a>, start: Pose2) -> Result<Self, DriveError> {
         let processor = Arc::new(Processor::new(setup.costs.clone(), setup.load));
         let laser = setup.lidar.laser_in_base;
-        let mut config = setup.config.clone();
-        // Who takes the cheapest mode that will do does not pay for the rest of the work; nor does who finds out what will.
-        config.contract.finish_after_answer &= !setup.by_truth && !matches!(setup.policy, Policy::Table(_));
-        let estimator = Estimator::new(setup.estimator, setup.course, &config, start, laser, &processor)?;
+        let estimator = Estimator::new(setup.estimator, setup.course, setup.config, start, laser, &processor)?;
         Ok(Self {
             setup,
             estimator,
