@@ -222,11 +222,14 @@ impl Follower {
         }
     }
 
-    /// From one pose to the next the car was to turn as commanded.
+    /// From one pose to the next the car was to turn as commanded; not if it rolls though it is told to stand: somebody else drives.
     fn learn_trim(&mut self, last: &PoseReading, next: &PoseReading) {
+        if self.last.is_none_or(|(_, command)| command.speed < ROLLING) {
+            return;
+        }
         let carried = self.history.carry(last.pose, last.stamp, last.speed, next.stamp);
         let way = carried.speed * next.stamp.seconds_since(last.stamp);
-        if way.abs() > 0.0 && carried.speed.abs() > ROLLING {
+        if carried.speed.abs() > ROLLING {
             self.trim.learn(carried.pose.between(&next.pose).theta, way, self.knobs.wheelbase);
         }
     }

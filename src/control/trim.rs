@@ -3,8 +3,8 @@
 /// The car drives so far until an error of the trim has fallen to 37 %, m. A heading that is 0.2 degrees off by chance then moves the trim
 /// of a racecar by 0.01 degrees; the offset of a servo is one for the whole drive.
 const REACH: f64 = 5.0;
-/// No servo is farther off, rad: what asks for more is a pose that jumps.
-const MOST: f64 = 0.1;
+/// No servo is farther off, three degrees, rad: what asks for more is a pose that jumps, or somebody else at the wheel.
+const MOST: f64 = 0.05;
 
 /// The trim of a car, learned along the way.
 ///
