@@ -6,15 +6,33 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use super::ErrorEstimate;
 use crate::quantile::quantile;
 
-/// A way for the estimator to work: its delay, and the error to expect of it.
+/// A way for the estimator to work: its delay, and the errors to expect of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mode {
     /// The time budget.
     pub delay: Duration,
-    /// Of the position, m.
-    pub error: f64,
+    /// Of the position across the direction of travel, and of the heading.
+    pub error: ErrorEstimate,
+}
+
+/// The falling sequence nearest to `values` by least squares: neighbours that rise are pooled at their mean (M. Ayer et al., Annals of
+/// Mathematical Statistics 1955). Taking the least value so far instead would promise what chance alone gave.
+pub fn make_falling(values: &mut [f64]) {
+    let mut pools: Vec<(f64, usize)> = Vec::new();
+    for &value in values.iter() {
+        let mut pool = (value, 1);
+        while let Some((mean, count)) = pools.pop_if(|(mean, _)| *mean <= pool.0) {
+            // Equal ones keep their value to the last bit.
+            let pooled = mean + (pool.0 - mean) * pool.1 as f64 / (count + pool.1) as f64;
+            pool = (pooled, count + pool.1);
+        }
+        pools.push(pool);
+    }
+    let pooled = pools.into_iter().flat_map(|(mean, count)| std::iter::repeat_n(mean, count));
+    values.iter_mut().zip(pooled).for_each(|(value, pooled)| *value = pooled);
 }
 
 /// As many answers are looked at as make a median that no single one moves: a second of scans.
@@ -144,6 +162,20 @@ mod tests {
     fn watched(answer: Conditions, count: usize) -> Option<String> {
         let mut watch = Watch::new(hall());
         (0..count).map(|_| watch.add(&answer)).last().flatten().map(|outside| outside.to_string())
+    }
+
+    #[test]
+    fn errors_that_rise_are_pooled() {
+        let falling = |values: &[f64]| {
+            let mut values = values.to_vec();
+            make_falling(&mut values);
+            values
+        };
+        assert_eq!(falling(&[5.0, 3.0, 1.0]), [5.0, 3.0, 1.0]);
+        assert_eq!(falling(&[1.0, 3.0, 0.5]), [2.0, 2.0, 0.5]);
+        assert_eq!(falling(&[1.0, 2.0, 6.0]), [3.0, 3.0, 3.0]);
+        assert_eq!(falling(&[0.1, 0.1, 0.1]), [0.1, 0.1, 0.1]);
+        assert_eq!(falling(&[]), [0.0; 0]);
     }
 
     #[test]

@@ -8,9 +8,11 @@ use super::path::{Path, PathError, Projection, Waypoint};
 use super::progress::{Arrival, Progress};
 use super::safety::{Footprint, StopReason};
 use super::speed::{SpeedLimits, SpeedProfile};
+use super::trim::Trim;
 use crate::geometry::{Point, Pose2};
 use crate::knobs;
 use crate::knobs::Seconds;
+use crate::simulation::racecar;
 use crate::simulation::vehicle::{Command, VehicleKnobs};
 use crate::time::Stamp;
 
@@ -50,17 +52,17 @@ knobs! {
         /// The car brakes, and stays, when by the scan it would hit something sooner than this; 0: never.
         min_time_to_collision: Seconds = Seconds(0.25), in 0 to 5, unit "s";
         /// Distance between the axles.
-        wheelbase: f64 = 0.33, in 0.05 to 5, unit "m";
+        wheelbase: f64 = racecar::WHEELBASE, in 0.05 to 5, unit "m";
         /// From the rear axle to the front bumper.
         front: f64 = 0.45, in 0.05 to 10, unit "m";
         /// Width of the car.
         width: f64 = 0.3, in 0.05 to 5, unit "m";
         /// Greatest steering angle.
-        max_steering: f64 = 0.4189, in 0.05 to 1.4, unit "rad";
+        max_steering: f64 = racecar::MAX_STEERING, in 0.05 to 1.4, unit "rad";
         /// Greatest change of the steering angle.
-        steering_rate: f64 = 3.2, in 0.1 to 20, unit "rad/s";
+        steering_rate: f64 = racecar::STEERING_RATE, in 0.1 to 20, unit "rad/s";
         /// Greatest acceleration of the car, commanded or not.
-        max_acceleration: f64 = 7.5, in 0.1 to 50, unit "m/s^2";
+        max_acceleration: f64 = racecar::MAX_ACCELERATION, in 0.1 to 50, unit "m/s^2";
     }
 }
 
@@ -70,6 +72,8 @@ const AT_END: f64 = 0.05;
 const CREEP: f64 = 0.2;
 /// Slower than this a car stands, m/s.
 const STANDING: f64 = 0.05;
+/// Slower than this a car turns by too little for its steering to show, m/s.
+const ROLLING: f64 = 0.5;
 /// A clock that goes back, or on by more than this between two commands, has jumped, s.
 const JUMP: f64 = 2.0;
 /// Commands follow each other in no more than this, s; one that comes later is not made up for.
@@ -140,6 +144,7 @@ pub struct Step {
 pub struct Follower {
     knobs: FollowerKnobs,
     history: CommandHistory,
+    trim: Trim,
     progress: Option<Progress>,
     profile: Option<SpeedProfile>,
     pose: Option<PoseReading>,
@@ -155,6 +160,7 @@ impl Follower {
     pub fn new(knobs: FollowerKnobs) -> Self {
         Self {
             history: CommandHistory::new(knobs.car()),
+            trim: Trim::default(),
             knobs,
             progress: None,
             profile: None,
@@ -209,8 +215,22 @@ impl Follower {
     /// A pose comes; one that is older than the last is of no use.
     pub fn on_pose(&mut self, reading: PoseReading) {
         if reading.pose.is_finite() && self.pose.is_none_or(|last| last.stamp <= reading.stamp) {
-            self.pose = Some(reading);
+            if let Some(last) = self.pose.replace(reading) {
+                self.learn_trim(&last, &reading);
+            }
             self.clock_jumped = false;
+        }
+    }
+
+    /// From one pose to the next the car was to turn as commanded; not if it rolls though it is told to stand: somebody else drives.
+    fn learn_trim(&mut self, last: &PoseReading, next: &PoseReading) {
+        if self.last.is_none_or(|(_, command)| command.speed < ROLLING) {
+            return;
+        }
+        let carried = self.history.carry(last.pose, last.stamp, last.speed, next.stamp);
+        let way = carried.speed * next.stamp.seconds_since(last.stamp);
+        if carried.speed.abs() > ROLLING {
+            self.trim.learn(carried.pose.between(&next.pose).theta, way, self.knobs.wheelbase);
         }
     }
 
@@ -244,9 +264,12 @@ impl Follower {
         self.history.record(acts, command);
         self.last = Some((now, command));
         self.latched = stop.filter(StopReason::is_latched);
+        // The history has what the car is to do: what it is told to that end is another matter.
+        let straight = (self.knobs.wheelbase * curvature).atan();
+        let steering = (straight - self.trim.angle()).clamp(-self.knobs.max_steering, self.knobs.max_steering);
         Step {
-            command,
-            steering: (self.knobs.wheelbase * curvature).atan().clamp(-self.knobs.max_steering, self.knobs.max_steering),
+            command: Command { curvature: steering.tan() / self.knobs.wheelbase, ..command },
+            steering,
             stop,
             place,
             pose: motion.map(|motion| motion.pose),
@@ -371,6 +394,8 @@ mod tests {
     /// A car, its follower, and a clock.
     struct Drive {
         knobs: VehicleKnobs,
+        /// Steering angle of the wheels when they are told to be straight, rad.
+        offset: f64,
         follower: Follower,
         pose: Pose2,
         speed: f64,
@@ -384,6 +409,7 @@ mod tests {
             let car = knobs.car();
             Self {
                 knobs: car,
+                offset: 0.0,
                 follower: Follower::new(knobs),
                 pose: Pose2::IDENTITY,
                 speed: 0.0,
@@ -416,7 +442,8 @@ mod tests {
             }
             let step = self.follower.command(stamp);
             let mut vehicle = Vehicle::moving(&self.knobs, self.speed, self.steering);
-            self.pose = self.pose * vehicle.step(step.command, 0.02).motion(0.02);
+            let curvature = (step.steering + self.offset).tan() / self.knobs.wheelbase;
+            self.pose = self.pose * vehicle.step(Command { curvature, ..step.command }, 0.02).motion(0.02);
             (self.speed, self.steering) = (vehicle.speed(), vehicle.turn());
             self.now += 0.02;
             step
@@ -501,6 +528,16 @@ mod tests {
         let stamp = Stamp::from_seconds(drive.now);
         drive.follower.on_pose(PoseReading { stamp, pose: drive.pose, speed: None, deviation: 2.0 });
         assert_eq!(drive.follower.command(stamp).stop, Some(StopReason::PoseUncertain(2.0)));
+    }
+
+    #[test]
+    fn wheels_that_are_not_straight_do_not_keep_the_car_beside_the_path() {
+        let mut drive = Drive::new(FollowerKnobs { speed: 7.0, ..FollowerKnobs::default() });
+        drive.offset = 0.02;
+        drive.give(&[(0.0, 0.0), (200.0, 0.0)], 100.0).unwrap();
+        drive.run(2.0);
+        drive.run(4.0);
+        assert!(drive.pose.x > 20.0 && drive.line().abs() < 0.005, "{} m beside the path", drive.line());
     }
 
     #[test]

@@ -7,6 +7,9 @@
 //!             ▲──────────────────────────────────────────────── by the last commands ─┘
 //! ```
 //!
+//! What the wheels are told is the steering angle of the command less the [`trim`], which is learned from how far the car turns otherwise
+//! than commanded.
+//!
 //! [`follower::Follower`] puts this together; the node and the closed loop offline both drive it. A [`laws`] file is one control law, a
 //! [`policy`] file is one way to choose the time contract of the estimator that the poses come from.
 
@@ -18,4 +21,5 @@ pub mod policy;
 pub mod progress;
 pub mod safety;
 pub mod speed;
+pub mod trim;
 pub mod waypoint_file;

@@ -7,7 +7,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
 use super::course::Course;
-use super::estimator::{Answer, Estimator, Times};
+use super::estimator::{Answer, Estimator, Times, of_truth};
 use super::figures::{Ending, Run, Trace};
 use super::flaws::{CarFlaws, FlawKnobs};
 use super::processor::{Load, Processor};
@@ -59,6 +59,8 @@ pub(super) struct Setup<'a> {
     pub(super) replanning: Option<Replanning>,
     pub(super) laps: u32,
     pub(super) seed: u32,
+    /// The car is steered by the truth, whatever the estimator answers: to see how good the answers are, come what may.
+    pub(super) by_truth: bool,
 }
 
 /// A scan on its way.
@@ -224,7 +226,7 @@ impl<'a> Loop<'a> {
         if let Some(outside) = self.outside {
             self.run.add_outside(outside);
         }
-        self.answers.push(answer);
+        self.answers.push(if self.setup.by_truth { of_truth(&scan, times, truth) } else { answer });
     }
 
     fn situation(&self, time: Duration, scan_period: u64) -> Situation {
@@ -232,9 +234,18 @@ impl<'a> Loop<'a> {
         let lookahead = self.setup.follower.lookahead(speed);
         let along = self.step.and_then(|step| step.place).map_or(0.0, |place| place.along);
         let room = self.setup.course.clearance(along, lookahead) - 0.5 * self.setup.follower.width;
+        let turn = if self.setup.follower.compensate_delay { 0.0 } else { speed * self.setup.course.curvature(along, lookahead) };
         let period = Duration::from_millis(scan_period);
         let whole = self.setup.load.done(time, self.whole).saturating_sub(time);
-        Situation { speed, lookahead, clearance: room, period, is_familiar: self.outside.is_none(), whole }
+        Situation {
+            speed,
+            lookahead,
+            clearance: room,
+            uncompensated_turn: turn,
+            period,
+            is_familiar: self.outside.is_none(),
+            whole,
+        }
     }
 
     fn deliver(&mut self, now: u64) {

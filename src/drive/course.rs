@@ -68,6 +68,13 @@ impl Course {
         (first..first + places).map(|place| self.clearances[place % count]).fold(f64::INFINITY, f64::min)
     }
 
+    /// The greatest curvature of the path within some distance ahead, whichever way it bends, 1/m.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // places of the path
+    pub fn curvature(&self, along: f64, ahead: f64) -> f64 {
+        let places = (ahead / SPACING).ceil() as usize;
+        (0..=places).map(|place| self.path.curvature(along + place as f64 * SPACING).abs()).fold(0.0, f64::max)
+    }
+
     /// Points of the walls, for pictures.
     pub fn wall_points(&self) -> Vec<Point> {
         let Some(map) = &self.map else { return self.seen_walls() };

@@ -130,7 +130,8 @@ impl Estimator {
     }
 }
 
-fn of_truth(scan: &LaserScan, times: Times, (pose, speed): (Pose2, f64)) -> Answer {
+/// What the simulator knows, at once.
+pub(super) fn of_truth(scan: &LaserScan, times: Times, (pose, speed): (Pose2, f64)) -> Answer {
     let reading = PoseReading { stamp: scan.header.stamp.into(), pose, speed: Some(speed), deviation: 0.0 };
     answer(reading, times.begin, true)
 }

@@ -5,6 +5,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 
 use super::estimator::{Answer, Times};
+use crate::anytime::ErrorEstimate;
 use crate::anytime::mode::{Conditions, Outside, Ranges};
 use crate::control::follower::Step;
 use crate::evaluation::statistics::Statistics;
@@ -87,6 +88,8 @@ pub struct Run {
     poses: u64,
     squared_pose_errors: f64,
     worst_pose_error: f64,
+    /// Sums of squares of what a controller notices of them: across the direction of travel, m^2, and of the heading, rad^2.
+    squared_noticed: [f64; 2],
 }
 
 impl Run {
@@ -115,6 +118,7 @@ impl Run {
             poses: 0,
             squared_pose_errors: 0.0,
             worst_pose_error: 0.0,
+            squared_noticed: [0.0; 2],
         }
     }
 
@@ -136,9 +140,10 @@ impl Run {
         }
     }
 
-    /// RMS distance of the poses from the truth, m.
-    pub(super) fn pose_error(&self) -> f64 {
-        (self.squared_pose_errors / self.poses.max(1) as f64).sqrt()
+    /// RMS errors of the poses: across the direction of travel, and of the heading.
+    pub(super) fn noticed_error(&self) -> ErrorEstimate {
+        let [translation, rotation] = self.squared_noticed.map(|sum| (sum / self.poses.max(1) as f64).sqrt());
+        ErrorEstimate { translation, rotation }
     }
 
     /// The conditions of nearly all answers.
@@ -159,9 +164,11 @@ impl Run {
         // A filter that knows nothing gives no pose.
         if answer.reading.deviation.is_finite() {
             self.poses += 1;
-            let error = truth.between(&answer.reading.pose).distance();
-            self.squared_pose_errors += error.powi(2);
-            self.worst_pose_error = self.worst_pose_error.max(error);
+            let off = truth.between(&answer.reading.pose);
+            self.squared_pose_errors += off.distance().powi(2);
+            self.worst_pose_error = self.worst_pose_error.max(off.distance());
+            self.squared_noticed[0] += off.y.powi(2);
+            self.squared_noticed[1] += off.theta.powi(2);
         }
         self.answers += 1;
         self.late += u64::from(answer.is_late);

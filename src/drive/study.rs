@@ -12,6 +12,7 @@ use super::flaws::FlawKnobs;
 use super::processor::Load;
 use super::replanning::Replanning;
 use super::{DriveError, EstimatorKind, costs, profiling};
+use crate::anytime::mode::Mode;
 use crate::config::Config;
 use crate::control::follower::FollowerKnobs;
 use crate::control::policy::{Policy, Table};
@@ -117,6 +118,7 @@ impl Study<'_> {
             replanning: self.replanning,
             laps: self.laps,
             seed,
+            by_truth: false,
         })
     }
 
@@ -185,8 +187,7 @@ impl Study<'_> {
             value["slowdown"] = load.slowdown.into();
             value["bursts"] = load.bursts.into();
             if let Policy::Table(table) = policy {
-                value["modes"] =
-                    table.modes.iter().map(|mode| json!({"delay_s": mode.delay.as_secs_f64(), "error_m": mode.error})).collect();
+                value["modes"] = table.modes.iter().map(mode).collect();
             }
             value["drives"] = endings(&outcome.runs);
             value
@@ -195,6 +196,11 @@ impl Study<'_> {
             self.facts().into_iter().map(|(name, value)| (name.to_owned(), value.into())).collect();
         json!({"command": self.command, "facts": facts, "cases": outcomes.iter().map(case).collect::<Vec<_>>()})
     }
+}
+
+/// For machines.
+fn mode(&Mode { delay, error }: &Mode) -> Value {
+    json!({"delay_s": delay.as_secs_f64(), "error_m": error.translation, "heading_error_rad": error.rotation})
 }
 
 impl std::fmt::Display for Case {

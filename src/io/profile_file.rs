@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::yaml;
-use crate::anytime::mode::{Mode, Ranges};
+use crate::anytime::ErrorEstimate;
+use crate::anytime::mode::{Mode, Ranges, make_falling};
 use crate::knobs::{Value, nearest_name};
 
 /// The expected error of every variant, and the data it was measured on.
@@ -183,9 +184,12 @@ impl VariantProfile {
         Some(error)
     }
 
-    /// What a controller may choose from, by rising delay.
+    /// What a controller may choose from, by rising delay. Across the direction of travel the error is no greater than in all.
     pub fn modes(&self) -> Vec<Mode> {
-        let mode = |budget: &Budget| Mode { delay: Duration::from_secs_f64(budget.delta_s), error: budget.error.position_mean_m };
+        let mode = |&Budget { delta_s, error }: &Budget| Mode {
+            delay: Duration::from_secs_f64(delta_s),
+            error: ErrorEstimate { translation: error.position_mean_m, rotation: error.orientation_mean_rad },
+        };
         self.budgets.iter().map(mode).collect()
     }
 
@@ -218,23 +222,6 @@ impl VariantProfile {
 const FIGURES: [fn(&mut ExpectedError) -> &mut f64; 4] =
     [|e| &mut e.position_mean_m, |e| &mut e.position_p95_m, |e| &mut e.orientation_mean_rad, |e| &mut e.orientation_p95_rad];
 
-/// The falling sequence nearest to `values` by least squares: neighbours that rise are pooled at their mean (M. Ayer et al., Annals of
-/// Mathematical Statistics 1955). Taking the least value so far instead would promise what chance alone gave.
-fn make_falling(values: &mut [f64]) {
-    let mut pools: Vec<(f64, usize)> = Vec::new();
-    for &value in values.iter() {
-        let mut pool = (value, 1);
-        while let Some((mean, count)) = pools.pop_if(|(mean, _)| *mean <= pool.0) {
-            // Equal ones keep their value to the last bit.
-            let pooled = mean + (pool.0 - mean) * pool.1 as f64 / (count + pool.1) as f64;
-            pool = (pooled, count + pool.1);
-        }
-        pools.push(pool);
-    }
-    let pooled = pools.into_iter().flat_map(|(mean, count)| std::iter::repeat_n(mean, count));
-    values.iter_mut().zip(pooled).for_each(|(value, pooled)| *value = pooled);
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -264,20 +251,6 @@ mod tests {
         let at = |ms: f64| variant.expected_error(Duration::from_secs_f64(ms * 1e-3)).map(|e| e.position_mean_m);
         assert_eq!([at(0.5), at(1.0), at(4.0), at(1000.0)], [None, Some(0.5), Some(0.2), Some(0.2)]);
         assert!((at(1.5).unwrap() - 0.4).abs() < 1e-12 && (at(3.0).unwrap() - 0.25).abs() < 1e-12);
-    }
-
-    #[test]
-    fn errors_that_rise_are_pooled() {
-        let falling = |values: &[f64]| {
-            let mut values = values.to_vec();
-            make_falling(&mut values);
-            values
-        };
-        assert_eq!(falling(&[5.0, 3.0, 1.0]), [5.0, 3.0, 1.0]);
-        assert_eq!(falling(&[1.0, 3.0, 0.5]), [2.0, 2.0, 0.5]);
-        assert_eq!(falling(&[1.0, 2.0, 6.0]), [3.0, 3.0, 3.0]);
-        assert_eq!(falling(&[0.1, 0.1, 0.1]), [0.1, 0.1, 0.1]);
-        assert_eq!(falling(&[]), [0.0; 0]);
     }
 
     #[test]

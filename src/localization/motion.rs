@@ -4,6 +4,7 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::geometry::{Pose2, Twist2};
+use crate::simulation::racecar;
 
 /// Slower than this the wheels' angle says nothing of the yaw rate, m/s.
 const STANDING: f64 = 0.05;
@@ -38,7 +39,7 @@ crate::knobs! {
         /// Standard deviation of the angle at which tyres slip sideways (car).
         sideslip_error: f64 = 2.0, in 0 to 45, unit "deg";
         /// Distance between the axles (car).
-        wheelbase: f64 = 0.33, in 0.05 to 10, unit "m";
+        wheelbase: f64 = racecar::WHEELBASE, in 0.05 to 10, unit "m";
         /// Error of rotation by rotation (differential).
         alpha1: f64 = 0.1, in 0 to 10;
         /// Error of rotation by translation (differential).

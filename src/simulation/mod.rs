@@ -22,6 +22,7 @@ pub mod motion;
 pub mod odometer;
 pub mod pairs;
 pub mod planner;
+pub mod racecar;
 pub mod random_world;
 pub mod rays;
 pub mod route;

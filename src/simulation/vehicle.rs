@@ -1,5 +1,6 @@
 //! How a simulated car moves: what it can do of what it is told.
 
+use super::racecar;
 use crate::geometry::Twist2;
 use crate::{choices, knobs};
 
@@ -25,11 +26,11 @@ knobs! {
         /// Lateral acceleration in curves, which limits the speed there.
         lateral_acceleration: f64 = 3.0, in 0.1 to 20, unit "m/s^2";
         /// Distance between the axles (Ackermann). The rear one carries `base_link`.
-        wheelbase: f64 = 0.33, in 0.05 to 5, unit "m";
+        wheelbase: f64 = racecar::WHEELBASE, in 0.05 to 5, unit "m";
         /// Greatest steering angle (Ackermann).
-        max_steering: f64 = 0.42, in 0.05 to 1.4, unit "rad";
+        max_steering: f64 = racecar::MAX_STEERING, in 0.05 to 1.4, unit "rad";
         /// Greatest change of the steering angle (Ackermann).
-        steering_rate: f64 = 3.2, in 0.1 to 20, unit "rad/s";
+        steering_rate: f64 = racecar::STEERING_RATE, in 0.1 to 20, unit "rad/s";
         /// Greatest change of the yaw rate (differential).
         yaw_acceleration: f64 = 12.0, in 0.1 to 100, unit "rad/s^2";
     }

@@ -30,6 +30,15 @@ fn every_law_drives_laps_of_the_corridor_by_the_truth() {
 }
 
 #[test]
+fn a_car_whose_wheels_are_not_straight_follows_as_well() {
+    let by_truth = ["--estimator", "truth", "--laps", "1", "--speed", "5", "--seeds", "3"];
+    let with =
+        |offset: &str| number(&cases(&[&by_truth[..], &["--steering-offset", offset]].concat())[0], &["lateral_error_m", "mean"]);
+    let (straight, bent) = (with("0"), with("1"));
+    assert!(bent < straight + 0.01, "{straight} m with straight wheels, {bent} m with others");
+}
+
+#[test]
 fn equal_seeds_give_equal_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let files = ["report.html", "figures.json", "path_1_seed_1.svg"];
@@ -78,6 +87,10 @@ fn a_table_from_elsewhere_is_warned_about_and_one_of_its_own_is_not() {
     let drive = ["--estimator", "scan_matcher", "--laps", "1", "--speed", "3", "--beams", "361", "--policy", "table"];
     let own = &cases(&drive)[0];
     assert_eq!((number(own, &["finished"]), number(own, &["outside_profile"])), (1.0, 0.0), "{own}");
+    let errors = |name: &str| own["modes"].as_array().unwrap().iter().map(|mode| number(mode, &[name])).collect::<Vec<_>>();
+    for errors in [errors("error_m"), errors("heading_error_rad")] {
+        assert!(errors.len() > 3 && errors.is_sorted_by(|less_time, more| less_time >= more), "{errors:?}");
+    }
     let file = format!("contract.profile={out}/profile.yaml");
     let output = anytime(&[&drive[..], &["--set", &file, "--out", out]].concat());
     let text = String::from_utf8(output.stdout).unwrap();

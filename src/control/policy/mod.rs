@@ -12,7 +12,6 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-pub use bound::ControllerBound;
 pub use by_speed::BySpeed;
 pub use table::Table;
 
@@ -27,6 +26,8 @@ pub struct Situation {
     pub lookahead: f64,
     /// Room beside the car on its path within the look-ahead, m.
     pub clearance: f64,
+    /// How fast the car turns there, as far as its follower does not make up for the delay of poses, rad/s.
+    pub uncompensated_turn: f64,
     /// Time from one scan to the next.
     pub period: Duration,
     /// Whether the last answers were found in the conditions that what is known beforehand is of.
@@ -121,12 +122,14 @@ impl fmt::Display for Policy {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::anytime::ErrorEstimate;
     use crate::anytime::mode::Mode;
 
     const SITUATION: Situation = Situation {
         speed: 7.0,
         lookahead: 2.0,
         clearance: 0.6,
+        uncompensated_turn: 0.0,
         period: Duration::from_millis(25),
         is_familiar: true,
         whole: Duration::from_millis(5),
@@ -148,12 +151,20 @@ mod tests {
 
     #[test]
     fn a_table_takes_the_cheapest_mode_that_the_controller_tolerates() {
-        let mode = |ms: u64, error: f64| Mode { delay: Duration::from_millis(ms), error };
-        let modes = vec![mode(1, 0.2), mode(5, 0.01), mode(20, 0.002)];
+        let mode = |ms: u64, translation: f64| Mode {
+            delay: Duration::from_millis(ms),
+            error: ErrorEstimate { translation, rotation: 0.1 * translation },
+        };
+        let modes = vec![mode(1, 0.2), mode(5, 0.0045), mode(20, 0.002)];
         let policy = Policy::Table(Table { modes, ..Table::default() });
         let budget = |situation: &Situation| policy.terms(situation).contract.time_budget.unwrap().as_millis();
         assert_eq!(budget(&SITUATION), 5);
-        assert_eq!(budget(&Situation { clearance: 0.04, ..SITUATION }), 20, "little room: a better pose");
+        assert_eq!(budget(&Situation { clearance: 0.046, ..SITUATION }), 20, "little room: a better pose");
+        assert_eq!(budget(&Situation { lookahead: 8.0, ..SITUATION }), 20, "far ahead the heading counts for more");
+        assert_eq!(budget(&Situation { uncompensated_turn: 1.0, ..SITUATION }), 5, "in a curve");
+        let even = vec![mode(1, 0.0021), mode(5, 0.0021), mode(20, 0.002)];
+        let even = Policy::Table(Table { modes: even, ..Table::default() });
+        assert_eq!(even.terms(&SITUATION).contract.time_budget, Some(Duration::from_millis(1)), "the cheapest of equal ones");
         assert_eq!(budget(&Situation { clearance: 0.0, speed: 40.0, ..SITUATION }), 5, "the best of those in time");
         assert_eq!(
             budget(&Situation { is_familiar: false, ..SITUATION }),

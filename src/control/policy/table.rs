@@ -1,6 +1,7 @@
 //! A look-up table of modes (Pant et al., Anytime Computation and Control for Autonomous Systems, 2021).
 
-use super::{ControllerBound, Situation, Terms};
+use super::bound::{error_followed, greatest_error, longest_delay};
+use super::{Situation, Terms};
 use crate::anytime::contract::Contract;
 use crate::anytime::mode::{Mode, Ranges};
 
@@ -13,15 +14,19 @@ pub struct Table {
     pub conditions: Ranges,
 }
 
-/// The mode of the least delay, which is the cheapest, of those that the controller's bound tolerates; if it tolerates none, or the
-/// conditions are others than the table's, so that nobody knows the errors, the best of those in time. An estimator that is done, or good
-/// enough, before answers earlier.
+/// The mode of the least delay, which is the cheapest, of those in time whose error is as good as the least of them and leaves the car
+/// enough room. If there is none, the best of those in time; in conditions other than the table's nobody knows the errors, and the
+/// longest of those in time is. An estimator that is done, or good enough, before answers earlier.
 pub(super) fn terms(table: &Table, situation: &Situation) -> Terms {
-    let bound = ControllerBound::of(situation);
-    let in_time = || table.modes.iter().filter(|mode| mode.delay <= bound.delay);
-    let cheapest = in_time().find(|mode| mode.error <= bound.error).filter(|_| situation.is_familiar);
-    let best =
-        || if situation.is_familiar { in_time().min_by(|a, b| a.error.total_cmp(&b.error)) } else { in_time().next_back() };
-    let time_budget = cheapest.or_else(best).or(table.modes.first()).map(|mode| mode.delay);
+    let longest = longest_delay(situation);
+    let in_time = || table.modes.iter().filter(|mode| mode.delay <= longest);
+    let error = |mode: &Mode| error_followed(mode, situation);
+    let best = || in_time().min_by(|a, b| error(a).total_cmp(&error(b)));
+    let cheapest = || {
+        let greatest = greatest_error(error(best()?), situation);
+        in_time().find(|mode| error(mode) <= greatest)
+    };
+    let chosen = if situation.is_familiar { cheapest().or_else(best) } else { in_time().next_back() };
+    let time_budget = chosen.or(table.modes.first()).map(|mode| mode.delay);
     Terms { contract: Contract { time_budget, ..Contract::default() }, max_iterations: None }
 }

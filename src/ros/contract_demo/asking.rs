@@ -68,13 +68,14 @@ impl Asking {
         self.is_familiar = is_familiar;
     }
 
-    /// The contract at `speed`, m/s. Of the room beside the robot nothing is known.
+    /// The contract at `speed`, m/s. Of the room beside the robot nothing is known, and its follower is taken to make up for delays.
     pub(super) fn contract(&self, speed: f64) -> Contract {
         let lookahead = self.follower.lookahead(speed);
         let situation = Situation {
             speed,
             lookahead,
             clearance: f64::INFINITY,
+            uncompensated_turn: 0.0,
             period: self.period,
             is_familiar: self.is_familiar,
             whole: Duration::ZERO,

@@ -19,6 +19,7 @@ use super::shutdown::StopSignal;
 use super::{NodeError, node, params};
 use crate::geometry::Pose2;
 use crate::simulation::lidar::LidarKnobs;
+use crate::simulation::racecar;
 use crate::simulation::vehicle::VehicleKnobs;
 
 const NAME: &str = "racecar_sim";
@@ -43,15 +44,15 @@ crate::knobs! {
         /// The laser is this far ahead of the rear axle.
         scan_distance_to_base_link: f64 = 0.275, in -10 to 10, unit "m";
         /// Distance between the axles.
-        wheelbase: f64 = 0.3302, in 0.05 to 5, unit "m";
+        wheelbase: f64 = racecar::WHEELBASE, in 0.05 to 5, unit "m";
         /// Top speed.
         max_speed: f64 = 7.0, in 0.1 to 20, unit "m/s";
         /// Acceleration and braking.
-        max_accel: f64 = 7.51, in 0.1 to 20, unit "m/s^2";
+        max_accel: f64 = racecar::MAX_ACCELERATION, in 0.1 to 20, unit "m/s^2";
         /// Greatest steering angle.
-        max_steering_angle: f64 = 0.4189, in 0.05 to 1.4, unit "rad";
+        max_steering_angle: f64 = racecar::MAX_STEERING, in 0.05 to 1.4, unit "rad";
         /// Greatest change of the steering angle.
-        max_steering_vel: f64 = 3.2, in 0.1 to 20, unit "rad/s";
+        max_steering_vel: f64 = racecar::STEERING_RATE, in 0.1 to 20, unit "rad/s";
         /// Top speed of the car that drives by itself.
         autopilot_speed: f64 = 2.0, in 0.1 to 20, unit "m/s";
         /// Another seed: other noise and, in a map, another way round.
