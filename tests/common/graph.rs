@@ -1,4 +1,5 @@
-//! A ROS graph of its own for each test: a master on a free port, and everything the test starts ended when it is over.
+//! A ROS graph of its own for each test: a master on a free port, and everything the test starts ended when it is over. Tests that
+//! wait for what others do run beside each other; those that measure times have the machine for themselves.
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -6,7 +7,8 @@ use std::net::{TcpListener, TcpStream};
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
@@ -52,31 +54,76 @@ pub fn installed(program: &str) -> bool {
     found
 }
 
-/// One test at a time: they measure times, and a machine with few cores runs many processes in each.
-static TURN: Mutex<()> = Mutex::new(());
+/// The tests of this program share the machine, but for those that measure times.
+static MACHINE: RwLock<()> = RwLock::new(());
+
+/// What a test has of the machine.
+enum Turn {
+    Beside { _others: RwLockReadGuard<'static, ()> },
+    Alone { _machine: RwLockWriteGuard<'static, ()> },
+}
+
+impl Turn {
+    fn beside_others() -> Self {
+        Self::Beside { _others: MACHINE.read().unwrap_or_else(PoisonError::into_inner) }
+    }
+
+    fn alone() -> Self {
+        Self::Alone { _machine: MACHINE.write().unwrap_or_else(PoisonError::into_inner) }
+    }
+}
+
+/// A port that nobody listens on. It is none of those that the system hands out by itself (from 32768 on), so that nobody else gets it
+/// while a master is down.
+fn free_port() -> u16 {
+    const FIRST: u32 = 20_000;
+    const PORTS: u32 = 10_000;
+    static TAKEN: AtomicU32 = AtomicU32::new(0);
+    // Test programs that run at the same time begin apart.
+    let begin = std::process::id().wrapping_mul(997);
+    let ports = (0..PORTS).map(|_| FIRST + begin.wrapping_add(TAKEN.fetch_add(1, Ordering::Relaxed)) % PORTS);
+    let mut ports = ports.map(|port| u16::try_from(port).unwrap());
+    ports.find(|&port| TcpListener::bind(("localhost", port)).is_ok()).expect("no free port")
+}
 
 pub struct Graph {
     pub dir: TempDir,
     port: u16,
     master: Option<Process>,
-    _turn: MutexGuard<'static, ()>,
+    // Last: it goes when all else has ended.
+    _turn: Turn,
 }
 
 impl Graph {
     /// Without a master. `None` where ROS is not installed.
     pub fn without_master() -> Option<Self> {
-        if !installed("roscore") {
-            return None;
-        }
-        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
-        let port = TcpListener::bind("localhost:0").unwrap().local_addr().unwrap().port();
-        Some(Self { dir: TempDir::new().unwrap(), port, master: None, _turn: turn })
+        Self::new(Turn::beside_others)
     }
 
     pub fn start() -> Option<Self> {
         let mut graph = Self::without_master()?;
         graph.start_master();
         Some(graph)
+    }
+
+    /// With the machine for itself: for tests that measure times.
+    pub fn alone_without_master() -> Option<Self> {
+        Self::new(Turn::alone)
+    }
+
+    /// The same, with a master.
+    pub fn alone() -> Option<Self> {
+        let mut graph = Self::alone_without_master()?;
+        graph.start_master();
+        Some(graph)
+    }
+
+    fn new(turn: fn() -> Turn) -> Option<Self> {
+        if !installed("roscore") {
+            return None;
+        }
+        let turn = turn();
+        Some(Self { dir: TempDir::new().unwrap(), port: free_port(), master: None, _turn: turn })
     }
 
     /// roscore's master; roscore itself would start it in a session of its own, where it outlives a test that fails.

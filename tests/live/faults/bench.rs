@@ -44,14 +44,22 @@ impl Bench {
         })
     }
 
+    /// With the machine for itself.
+    pub fn alone(beams: usize) -> Option<Self> {
+        Some(Self::on(Graph::alone()?, beams, |graph| graph.node(&[MOUNT])))
+    }
+
     pub fn start_with(beams: usize, start: impl FnOnce(&Graph) -> Process) -> Option<Self> {
-        let graph = Graph::start()?;
+        Some(Self::on(Graph::start()?, beams, start))
+    }
+
+    fn on(graph: Graph, beams: usize, start: impl FnOnce(&Graph) -> Process) -> Self {
         let node = start(&graph);
         let lidar = Publisher::new::<LaserScan>(&graph, "/lidar", "/scan");
         let scans = lidar.link();
         let (poses, reports) = (Listener::new(&graph, "/scan_match_location"), Listener::new(&graph, "/icp_report"));
         let laser = Laser::with_field_of_view(270.0, beams);
-        Some(Self { node, lidar, scans, poses, reports, laser, next: 0, graph })
+        Self { node, lidar, scans, poses, reports, laser, next: 0, graph }
     }
 
     /// The next scan of the drive.
