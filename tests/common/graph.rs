@@ -83,7 +83,7 @@ fn free_port() -> u16 {
     let begin = std::process::id().wrapping_mul(997);
     let ports = (0..PORTS).map(|_| FIRST + begin.wrapping_add(TAKEN.fetch_add(1, Ordering::Relaxed)) % PORTS);
     let mut ports = ports.map(|port| u16::try_from(port).unwrap());
-    ports.find(|&port| TcpListener::bind(("localhost", port)).is_ok()).expect("no free port")
+    ports.find(|&port| TcpListener::bind(("localhost", port)).is_ok()).unwrap()
 }
 
 pub struct Graph {
@@ -130,7 +130,7 @@ impl Graph {
     pub fn start_master(&mut self) {
         let port = self.port.to_string();
         self.master = Some(self.spawn("rosmaster", &["--core", "-p", &port]));
-        let address = format!("localhost:{port}");
+        let address = self.master_address();
         assert!(eventually(|| TcpStream::connect(&address).is_ok()), "no master: {}", self.master.as_ref().unwrap().log());
     }
 
@@ -225,10 +225,20 @@ impl Graph {
         answer.split("http://").nth(1).unwrap().split('/').next().unwrap().into()
     }
 
+    /// Host and port of a service.
+    pub fn service_address(&self, name: &str) -> String {
+        let answer = self.call_master("lookupService", &["/test", name]);
+        answer.split("rosrpc://").nth(1).unwrap().split(['/', '<', ']']).next().unwrap().into()
+    }
+
+    pub fn master_address(&self) -> String {
+        format!("localhost:{}", self.port)
+    }
+
     /// The master's answer, in XML, to a call with these strings.
     pub fn call_master(&self, method: &str, arguments: &[&str]) -> String {
         let values: Vec<String> = arguments.iter().map(|text| format!("<string>{text}</string>")).collect();
-        call(&format!("localhost:{}", self.port), method, &values)
+        call(&self.master_address(), method, &values)
     }
 
     /// The bag with what has been recorded.
@@ -244,18 +254,6 @@ impl Graph {
         bag
     }
 
-    /// Plays a bag to its end; it waits a little first, so that everybody has connected.
-    pub fn play(&self, bag: &Path, arguments: &[&str]) {
-        let mut player = self.start_playing(bag, arguments);
-        assert_eq!(player.exit_code(6 * PATIENCE), Some(0), "{}", player.log());
-    }
-
-    pub fn start_playing(&self, bag: &Path, arguments: &[&str]) -> Process {
-        let mut all = vec!["play", "--quiet", "--delay", "1.5", bag.to_str().unwrap()];
-        all.extend(arguments);
-        self.spawn("rosbag", &all)
-    }
-
     /// Calls a `std_srvs/Trigger` that succeeds; its message.
     pub fn trigger(&self, service: &str) -> String {
         let (success, message) = self.call(service);
@@ -265,14 +263,13 @@ impl Graph {
 
     /// Calls a `std_srvs/Trigger`: its Python types need not be installed, so this speaks TCPROS by itself.
     pub fn call(&self, service: &str) -> (bool, String) {
-        let answer = self.request(service, "std_srvs/Trigger", "937c9679a518e3a18d831e57125ea522");
+        let answer = self.request(service, "std_srvs/Trigger", "937c9679a518e3a18d831e57125ea522", &[]);
         (answer[0] == 1, String::from_utf8(answer[5..].to_vec()).unwrap())
     }
 
-    /// The wire form of what a service answers to an empty request.
-    pub fn request(&self, service: &str, service_type: &str, md5: &str) -> Vec<u8> {
-        let uri = self.output("rosservice", &["uri", service]);
-        let mut stream = TcpStream::connect(uri.trim().strip_prefix("rosrpc://").unwrap()).unwrap();
+    /// The wire form of what a service answers to a request.
+    pub fn request(&self, service: &str, service_type: &str, md5: &str, request: &[u8]) -> Vec<u8> {
+        let mut stream = TcpStream::connect(self.service_address(service)).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let field = |text: String| [u32::try_from(text.len()).unwrap().to_le_bytes().to_vec(), text.into_bytes()].concat();
         let header = [
@@ -284,7 +281,8 @@ impl Graph {
         .concat();
         stream.write_all(&u32::try_from(header.len()).unwrap().to_le_bytes()).unwrap();
         stream.write_all(&header).unwrap();
-        stream.write_all(&0_u32.to_le_bytes()).unwrap();
+        stream.write_all(&u32::try_from(request.len()).unwrap().to_le_bytes()).unwrap();
+        stream.write_all(request).unwrap();
         let block = |stream: &mut TcpStream| {
             let mut length = [0; 4];
             stream.read_exact(&mut length).unwrap();

@@ -204,7 +204,7 @@ fn the_map_of_a_file_is_published_latched_and_served() {
     node.expect_log("publishes it as /map and serves it as /static_map");
     let recorder = graph.record(&["/map", "/map_metadata"]); // which comes after it was published
     let expected = message(&corridor(), "map");
-    let served = graph.request("/static_map", "nav_msgs/GetMap", &GetMap::md5sum());
+    let served = graph.request("/static_map", "nav_msgs/GetMap", &GetMap::md5sum(), &[]);
     assert!(decode::<MapMessage>(&served).unwrap() == expected);
     let recorded = Bag::open(graph.finish_recording(recorder)).unwrap();
     let [mut maps, mut metadata] = [0, 0];

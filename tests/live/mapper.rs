@@ -39,7 +39,7 @@ fn known(map: &OccupancyGrid) -> usize {
 
 /// The map that is served.
 fn served(graph: &Graph) -> OccupancyGrid {
-    let answer = graph.request("/dynamic_map", &GetMap::msg_type(), &GetMap::md5sum());
+    let answer = graph.request("/dynamic_map", &GetMap::msg_type(), &GetMap::md5sum(), &[]);
     map_message::grid(&decode::<MapMessage>(&answer).unwrap()).unwrap()
 }
 

@@ -410,7 +410,7 @@ fn our_messages_are_known_from_a_checkout() {
     drive::write(&bag, 40, |_| ());
     assert!(
         eventually(|| {
-            graph.play(&bag, &["--delay", "0.5"]);
+            graph.play(&bag, &[]);
             echo.log().contains("mean_residual:")
         }),
         "{}",
@@ -549,7 +549,7 @@ fn catkin_builds_what_rostopic_needs_to_show_our_messages() {
     let env = graph.dir.path().join("devel/env.sh");
     let mut echo = graph.spawn(env.to_str().unwrap(), &["rostopic", "echo", "-n", "1", "/icp_report"]);
     assert!(eventually(|| {
-        graph.play(&bag, &["--delay", "0.5"]);
+        graph.play(&bag, &[]);
         echo.log().contains("mean_residual:")
     }));
     assert_eq!(echo.exit_code(PATIENCE), Some(0));

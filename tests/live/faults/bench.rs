@@ -95,12 +95,6 @@ impl Bench {
         assert!(error.distance() < 0.05 && error.theta.abs() < 0.05, "{error:?}");
     }
 
-    /// Host and port of a service.
-    pub fn service_address(&self, name: &str) -> String {
-        let answer = self.graph.call_master("lookupService", &["/test", name]);
-        answer.split("rosrpc://").nth(1).unwrap().split(['/', '<', ']']).next().unwrap().into()
-    }
-
     pub fn resources(&self) -> Resources {
         Resources::of(self.node.id())
     }
