@@ -84,6 +84,7 @@ fn launch(graph: &Graph, world: &Path, start: &Pose2, arguments: &[&str]) -> Pro
     let (world, start) =
         (format!("world:={}", world.display()), format!("initial_pose:=[{}, {}, {}]", start.x, start.y, start.theta));
     let launch = graph.launch("drive.launch", &[&[world.as_str(), &start][..], arguments].concat());
+    launch.expect_log("simulates a racecar");
     launch.expect_log("follows paths");
     launch
 }
@@ -133,7 +134,6 @@ fn it_drives_to_goals_and_lives_with_paths_nobody_should_send() {
     let start = Pose2::new(0.0, -6.1, 0.0);
     let launch = launch(&graph, &corridor(), &start, &["speed:=2", "estimator:=truth", "path:=none"]);
     launch.expect_log("stands: no path");
-    launch.expect_log("simulates a racecar");
     thread::sleep(Duration::from_secs(3)); // poses and /tf come
     let mut goal = PoseStamped { pose: pose_message(Pose2::new(6.0, -5.9, 0.0)), ..PoseStamped::default() };
     goal.header.frame_id = "map".into();
@@ -188,7 +188,6 @@ fn paths_two_seconds_late_and_replanned_leave_no_stop_and_no_step() {
     let world = levine();
     let course = Course::load(world.to_str().unwrap(), None).unwrap();
     let launch = launch(&graph, &world, &course.start(0.0), &["speed:=7", "estimator:=truth", "path:=none", "rate:=50"]);
-    launch.expect_log("simulates a racecar");
     launch.expect_log("stands: no path");
     let recorder = graph.record(&["/odom", "/follower/report"]);
     let limits = SpeedLimits { top: 7.0, lateral_acceleration: 4.0, braking: 3.0 };
