@@ -1,5 +1,5 @@
 //! A ROS graph of its own for each test: a master on a free port, and everything the test starts ended when it is over. Tests that
-//! wait for what others do run beside each other; those that measure times have the machine for themselves.
+//! wait for what others do run beside each other; those that measure times, or drive fast, have the machine for themselves.
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -54,7 +54,7 @@ pub fn installed(program: &str) -> bool {
     found
 }
 
-/// The tests of this program share the machine, but for those that measure times.
+/// The tests of this program share the machine, but for those that measure times or drive fast.
 static MACHINE: RwLock<()> = RwLock::new(());
 
 /// What a test has of the machine.
@@ -106,7 +106,7 @@ impl Graph {
         Some(graph)
     }
 
-    /// With the machine for itself: for tests that measure times.
+    /// With the machine for itself: for tests that measure times or drive fast.
     pub fn alone_without_master() -> Option<Self> {
         Self::new(Turn::alone)
     }

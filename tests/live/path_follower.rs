@@ -112,7 +112,7 @@ fn record_way(graph: &Graph, length: f64, time: Duration) -> Drive {
 
 #[test]
 fn two_laps_at_four_metres_a_second_without_a_touch() {
-    let Some(graph) = Graph::start() else { return };
+    let Some(graph) = Graph::alone() else { return };
     let world = levine();
     let course = Course::load(world.to_str().unwrap(), None).unwrap();
     let _launch = launch(&graph, &world, &course.start(0.0), &["speed:=4", "estimator:=particle_filter"]);
@@ -184,7 +184,7 @@ fn plan_late(graph: &Graph, course: &Course, limits: &SpeedLimits, time: Duratio
 
 #[test]
 fn paths_two_seconds_late_and_replanned_leave_no_stop_and_no_step() {
-    let Some(graph) = Graph::start() else { return };
+    let Some(graph) = Graph::alone() else { return };
     let world = levine();
     let course = Course::load(world.to_str().unwrap(), None).unwrap();
     let launch = launch(&graph, &world, &course.start(0.0), &["speed:=7", "estimator:=truth", "path:=none", "rate:=50"]);
