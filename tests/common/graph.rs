@@ -1,4 +1,5 @@
-//! A ROS graph of its own for each test: a master on a free port, and everything the test starts ended when it is over.
+//! A ROS graph of its own for each test: a master on a free port, and everything the test starts ended when it is over. Tests that
+//! wait for what others do run beside each other; those that measure times, or drive fast, have the machine for themselves.
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -6,7 +7,8 @@ use std::net::{TcpListener, TcpStream};
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
@@ -52,25 +54,50 @@ pub fn installed(program: &str) -> bool {
     found
 }
 
-/// One test at a time: they measure times, and a machine with few cores runs many processes in each.
-static TURN: Mutex<()> = Mutex::new(());
+/// The tests of this program share the machine, but for those that measure times or drive fast.
+static MACHINE: RwLock<()> = RwLock::new(());
+
+/// What a test has of the machine.
+enum Turn {
+    Beside { _others: RwLockReadGuard<'static, ()> },
+    Alone { _machine: RwLockWriteGuard<'static, ()> },
+}
+
+impl Turn {
+    fn beside_others() -> Self {
+        Self::Beside { _others: MACHINE.read().unwrap_or_else(PoisonError::into_inner) }
+    }
+
+    fn alone() -> Self {
+        Self::Alone { _machine: MACHINE.write().unwrap_or_else(PoisonError::into_inner) }
+    }
+}
+
+/// A port that nobody listens on. It is none of those that the system hands out by itself (from 32768 on), so that nobody else gets it
+/// while a master is down.
+fn free_port() -> u16 {
+    const FIRST: u32 = 20_000;
+    const PORTS: u32 = 10_000;
+    static TAKEN: AtomicU32 = AtomicU32::new(0);
+    // Test programs that run at the same time begin apart.
+    let begin = std::process::id().wrapping_mul(997);
+    let ports = (0..PORTS).map(|_| FIRST + begin.wrapping_add(TAKEN.fetch_add(1, Ordering::Relaxed)) % PORTS);
+    let mut ports = ports.map(|port| u16::try_from(port).unwrap());
+    ports.find(|&port| TcpListener::bind(("localhost", port)).is_ok()).unwrap()
+}
 
 pub struct Graph {
     pub dir: TempDir,
     port: u16,
     master: Option<Process>,
-    _turn: MutexGuard<'static, ()>,
+    // Last: it goes when all else has ended.
+    _turn: Turn,
 }
 
 impl Graph {
     /// Without a master. `None` where ROS is not installed.
     pub fn without_master() -> Option<Self> {
-        if !installed("roscore") {
-            return None;
-        }
-        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
-        let port = TcpListener::bind("localhost:0").unwrap().local_addr().unwrap().port();
-        Some(Self { dir: TempDir::new().unwrap(), port, master: None, _turn: turn })
+        Self::new(Turn::beside_others)
     }
 
     pub fn start() -> Option<Self> {
@@ -79,11 +106,31 @@ impl Graph {
         Some(graph)
     }
 
+    /// With the machine for itself: for tests that measure times or drive fast.
+    pub fn alone_without_master() -> Option<Self> {
+        Self::new(Turn::alone)
+    }
+
+    /// The same, with a master.
+    pub fn alone() -> Option<Self> {
+        let mut graph = Self::alone_without_master()?;
+        graph.start_master();
+        Some(graph)
+    }
+
+    fn new(turn: fn() -> Turn) -> Option<Self> {
+        if !installed("roscore") {
+            return None;
+        }
+        let turn = turn();
+        Some(Self { dir: TempDir::new().unwrap(), port: free_port(), master: None, _turn: turn })
+    }
+
     /// roscore's master; roscore itself would start it in a session of its own, where it outlives a test that fails.
     pub fn start_master(&mut self) {
         let port = self.port.to_string();
         self.master = Some(self.spawn("rosmaster", &["--core", "-p", &port]));
-        let address = format!("localhost:{port}");
+        let address = self.master_address();
         assert!(eventually(|| TcpStream::connect(&address).is_ok()), "no master: {}", self.master.as_ref().unwrap().log());
     }
 
@@ -178,10 +225,20 @@ impl Graph {
         answer.split("http://").nth(1).unwrap().split('/').next().unwrap().into()
     }
 
+    /// Host and port of a service.
+    pub fn service_address(&self, name: &str) -> String {
+        let answer = self.call_master("lookupService", &["/test", name]);
+        answer.split("rosrpc://").nth(1).unwrap().split(['/', '<', ']']).next().unwrap().into()
+    }
+
+    pub fn master_address(&self) -> String {
+        format!("localhost:{}", self.port)
+    }
+
     /// The master's answer, in XML, to a call with these strings.
     pub fn call_master(&self, method: &str, arguments: &[&str]) -> String {
         let values: Vec<String> = arguments.iter().map(|text| format!("<string>{text}</string>")).collect();
-        call(&format!("localhost:{}", self.port), method, &values)
+        call(&self.master_address(), method, &values)
     }
 
     /// The bag with what has been recorded.
@@ -197,18 +254,6 @@ impl Graph {
         bag
     }
 
-    /// Plays a bag to its end; it waits a little first, so that everybody has connected.
-    pub fn play(&self, bag: &Path, arguments: &[&str]) {
-        let mut player = self.start_playing(bag, arguments);
-        assert_eq!(player.exit_code(6 * PATIENCE), Some(0), "{}", player.log());
-    }
-
-    pub fn start_playing(&self, bag: &Path, arguments: &[&str]) -> Process {
-        let mut all = vec!["play", "--quiet", "--delay", "1.5", bag.to_str().unwrap()];
-        all.extend(arguments);
-        self.spawn("rosbag", &all)
-    }
-
     /// Calls a `std_srvs/Trigger` that succeeds; its message.
     pub fn trigger(&self, service: &str) -> String {
         let (success, message) = self.call(service);
@@ -218,14 +263,13 @@ impl Graph {
 
     /// Calls a `std_srvs/Trigger`: its Python types need not be installed, so this speaks TCPROS by itself.
     pub fn call(&self, service: &str) -> (bool, String) {
-        let answer = self.request(service, "std_srvs/Trigger", "937c9679a518e3a18d831e57125ea522");
+        let answer = self.request(service, "std_srvs/Trigger", "937c9679a518e3a18d831e57125ea522", &[]);
         (answer[0] == 1, String::from_utf8(answer[5..].to_vec()).unwrap())
     }
 
-    /// The wire form of what a service answers to an empty request.
-    pub fn request(&self, service: &str, service_type: &str, md5: &str) -> Vec<u8> {
-        let uri = self.output("rosservice", &["uri", service]);
-        let mut stream = TcpStream::connect(uri.trim().strip_prefix("rosrpc://").unwrap()).unwrap();
+    /// The wire form of what a service answers to a request.
+    pub fn request(&self, service: &str, service_type: &str, md5: &str, request: &[u8]) -> Vec<u8> {
+        let mut stream = TcpStream::connect(self.service_address(service)).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         let field = |text: String| [u32::try_from(text.len()).unwrap().to_le_bytes().to_vec(), text.into_bytes()].concat();
         let header = [
@@ -237,7 +281,8 @@ impl Graph {
         .concat();
         stream.write_all(&u32::try_from(header.len()).unwrap().to_le_bytes()).unwrap();
         stream.write_all(&header).unwrap();
-        stream.write_all(&0_u32.to_le_bytes()).unwrap();
+        stream.write_all(&u32::try_from(request.len()).unwrap().to_le_bytes()).unwrap();
+        stream.write_all(request).unwrap();
         let block = |stream: &mut TcpStream| {
             let mut length = [0; 4];
             stream.read_exact(&mut length).unwrap();

@@ -5,6 +5,8 @@
 pub mod drive;
 #[cfg(feature = "ros")]
 pub mod graph;
+#[cfg(feature = "ros")]
+pub mod player;
 pub mod skipped;
 #[cfg(feature = "ros")]
 pub mod wire;

@@ -204,7 +204,7 @@ fn the_map_of_a_file_is_published_latched_and_served() {
     node.expect_log("publishes it as /map and serves it as /static_map");
     let recorder = graph.record(&["/map", "/map_metadata"]); // which comes after it was published
     let expected = message(&corridor(), "map");
-    let served = graph.request("/static_map", "nav_msgs/GetMap", &GetMap::md5sum());
+    let served = graph.request("/static_map", "nav_msgs/GetMap", &GetMap::md5sum(), &[]);
     assert!(decode::<MapMessage>(&served).unwrap() == expected);
     let recorded = Bag::open(graph.finish_recording(recorder)).unwrap();
     let [mut maps, mut metadata] = [0, 0];
@@ -330,7 +330,9 @@ fn bad_maps_and_bad_poses_are_told_and_nothing_dies() {
             writer.write("/tf", start.offset_by(seconds), &TFMessage { transforms: vec![rival] }).unwrap();
         }
     });
-    let mut node = start(&graph, &[&drive.initial_pose(), &map_file(folder), "_contract/time_budget:=10us"]);
+    // Few particles, so that every scan is taken in before the next one comes.
+    let arguments = [&*drive.initial_pose(), &*map_file(folder), "_contract/time_budget:=10us", "_localization/particles:=500"];
+    let mut node = start(&graph, &arguments);
     node.expect_log("has a map of 400 x 300");
     let recorder = graph.record(&TOPICS);
     graph.play(&drive.bag, &[]);

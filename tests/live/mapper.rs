@@ -39,7 +39,7 @@ fn known(map: &OccupancyGrid) -> usize {
 
 /// The map that is served.
 fn served(graph: &Graph) -> OccupancyGrid {
-    let answer = graph.request("/dynamic_map", &GetMap::msg_type(), &GetMap::md5sum());
+    let answer = graph.request("/dynamic_map", &GetMap::msg_type(), &GetMap::md5sum(), &[]);
     map_message::grid(&decode::<MapMessage>(&answer).unwrap()).unwrap()
 }
 
@@ -82,7 +82,7 @@ fn a_drive_becomes_a_map_that_the_particle_filter_finds_the_robot_on() {
     let filter = graph.spawn(FILTER, &[&map, &drive.initial_pose()]);
     filter.expect_log("has a map");
     let recorder = graph.record(&TOPICS);
-    graph.play(&drive.bag, &[]);
+    graph.play(&drive.bag, &FAST);
     let heard = Heard::read(&graph.finish_recording(recorder));
     assert!(heard.poses.len() > 200, "{}", heard.poses.len());
     heard.check_poses(&drive, 0.15);

@@ -374,7 +374,7 @@ fn rosnode_info_tells_whom_the_node_is_connected_to() {
 /// The master says so when somebody has come: a message that is latched for a moment only is not missed, nor heard a second late.
 #[test]
 fn publishers_that_come_are_heard_at_once() {
-    let Some(graph) = Graph::start() else { return };
+    let Some(graph) = Graph::alone() else { return };
     let node = graph.node(&[MOUNT]);
     let laser = Publisher::new::<LaserScan>(&graph, "/front_laser", "/scan");
     let _link = laser.link();
@@ -410,7 +410,7 @@ fn our_messages_are_known_from_a_checkout() {
     drive::write(&bag, 40, |_| ());
     assert!(
         eventually(|| {
-            graph.play(&bag, &["--delay", "0.5"]);
+            graph.play(&bag, &[]);
             echo.log().contains("mean_residual:")
         }),
         "{}",
@@ -549,7 +549,7 @@ fn catkin_builds_what_rostopic_needs_to_show_our_messages() {
     let env = graph.dir.path().join("devel/env.sh");
     let mut echo = graph.spawn(env.to_str().unwrap(), &["rostopic", "echo", "-n", "1", "/icp_report"]);
     assert!(eventually(|| {
-        graph.play(&bag, &["--delay", "0.5"]);
+        graph.play(&bag, &[]);
         echo.log().contains("mean_residual:")
     }));
     assert_eq!(echo.exit_code(PATIENCE), Some(0));
@@ -582,7 +582,7 @@ fn the_node_waits_for_a_master_and_survives_its_restart() {
 
 #[test]
 fn signals_end_the_node_within_a_second() {
-    let Some(mut graph) = Graph::without_master() else { return };
+    let Some(mut graph) = Graph::alone_without_master() else { return };
     let ends = |mut node: Process, signal: &str| {
         node.signal(signal);
         let start = Instant::now();

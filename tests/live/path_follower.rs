@@ -22,7 +22,7 @@ use anytime_scan_matcher::time::Stamp;
 use crate::common::drive::pose_message;
 use crate::common::graph::{Graph, PACKAGE, Process, within};
 use crate::common::skipped::skip;
-use crate::common::wire::{Publisher, frame, say};
+use crate::common::wire::{Listener, Publisher, frame, say};
 
 /// The car touches a wall when it is this near to the middle of its rear axle, m.
 const GIRTH: f64 = 0.2;
@@ -84,6 +84,7 @@ fn launch(graph: &Graph, world: &Path, start: &Pose2, arguments: &[&str]) -> Pro
     let (world, start) =
         (format!("world:={}", world.display()), format!("initial_pose:=[{}, {}, {}]", start.x, start.y, start.theta));
     let launch = graph.launch("drive.launch", &[&[world.as_str(), &start][..], arguments].concat());
+    launch.expect_log("simulates a racecar");
     launch.expect_log("follows paths");
     launch
 }
@@ -95,14 +96,28 @@ fn record(graph: &Graph, time: Duration) -> Drive {
     Drive::read(&graph.finish_recording(recorder))
 }
 
+/// The same until the car has gone so far, m, or the time is over.
+fn record_way(graph: &Graph, length: f64, time: Duration) -> Drive {
+    let recorder = graph.record(&["/odom", "/follower/report"]);
+    let mut truth = Listener::of(graph, "/racecar_sim", "/odom");
+    let mut next = || planar_pose(&truth.next::<Odometry>().pose.pose).unwrap();
+    let (begin, mut last, mut way) = (Instant::now(), next(), 0.0);
+    while way < length && begin.elapsed() < time {
+        let pose = next();
+        way += last.between(&pose).distance();
+        last = pose;
+    }
+    Drive::read(&graph.finish_recording(recorder))
+}
+
 #[test]
 fn two_laps_at_four_metres_a_second_without_a_touch() {
-    let Some(graph) = Graph::start() else { return };
+    let Some(graph) = Graph::alone() else { return };
     let world = levine();
     let course = Course::load(world.to_str().unwrap(), None).unwrap();
     let _launch = launch(&graph, &world, &course.start(0.0), &["speed:=4", "estimator:=particle_filter"]);
-    let time = Duration::from_secs_f64(2.0 * course.path.length() / 3.0 + 5.0);
-    let drive = record(&graph, time);
+    let way = 2.0 * course.path.length();
+    let drive = record_way(&graph, way, Duration::from_secs_f64(way / 3.0 + 5.0));
     let (errors, laps) = (drive.errors(&course), drive.length() / course.path.length());
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     let worst = *errors.last().unwrap();
@@ -119,7 +134,6 @@ fn it_drives_to_goals_and_lives_with_paths_nobody_should_send() {
     let start = Pose2::new(0.0, -6.1, 0.0);
     let launch = launch(&graph, &corridor(), &start, &["speed:=2", "estimator:=truth", "path:=none"]);
     launch.expect_log("stands: no path");
-    launch.expect_log("simulates a racecar");
     thread::sleep(Duration::from_secs(3)); // poses and /tf come
     let mut goal = PoseStamped { pose: pose_message(Pose2::new(6.0, -5.9, 0.0)), ..PoseStamped::default() };
     goal.header.frame_id = "map".into();
@@ -170,11 +184,10 @@ fn plan_late(graph: &Graph, course: &Course, limits: &SpeedLimits, time: Duratio
 
 #[test]
 fn paths_two_seconds_late_and_replanned_leave_no_stop_and_no_step() {
-    let Some(graph) = Graph::start() else { return };
+    let Some(graph) = Graph::alone() else { return };
     let world = levine();
     let course = Course::load(world.to_str().unwrap(), None).unwrap();
     let launch = launch(&graph, &world, &course.start(0.0), &["speed:=7", "estimator:=truth", "path:=none", "rate:=50"]);
-    launch.expect_log("simulates a racecar");
     launch.expect_log("stands: no path");
     let recorder = graph.record(&["/odom", "/follower/report"]);
     let limits = SpeedLimits { top: 7.0, lateral_acceleration: 4.0, braking: 3.0 };

@@ -44,14 +44,22 @@ impl Bench {
         })
     }
 
+    /// With the machine for itself.
+    pub fn alone(beams: usize) -> Option<Self> {
+        Some(Self::on(Graph::alone()?, beams, |graph| graph.node(&[MOUNT])))
+    }
+
     pub fn start_with(beams: usize, start: impl FnOnce(&Graph) -> Process) -> Option<Self> {
-        let graph = Graph::start()?;
+        Some(Self::on(Graph::start()?, beams, start))
+    }
+
+    fn on(graph: Graph, beams: usize, start: impl FnOnce(&Graph) -> Process) -> Self {
         let node = start(&graph);
         let lidar = Publisher::new::<LaserScan>(&graph, "/lidar", "/scan");
         let scans = lidar.link();
         let (poses, reports) = (Listener::new(&graph, "/scan_match_location"), Listener::new(&graph, "/icp_report"));
         let laser = Laser::with_field_of_view(270.0, beams);
-        Some(Self { node, lidar, scans, poses, reports, laser, next: 0, graph })
+        Self { node, lidar, scans, poses, reports, laser, next: 0, graph }
     }
 
     /// The next scan of the drive.
@@ -85,12 +93,6 @@ impl Bench {
         let error = pose.between(&self.truth());
         assert!(report.outcome == rosrust_msg::anytime_scan_matcher::MatchReport::MATCHED, "{report:?}: {}", self.node.log());
         assert!(error.distance() < 0.05 && error.theta.abs() < 0.05, "{error:?}");
-    }
-
-    /// Host and port of a service.
-    pub fn service_address(&self, name: &str) -> String {
-        let answer = self.graph.call_master("lookupService", &["/test", name]);
-        answer.split("rosrpc://").nth(1).unwrap().split(['/', '<', ']']).next().unwrap().into()
     }
 
     pub fn resources(&self) -> Resources {

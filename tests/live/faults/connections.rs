@@ -49,7 +49,7 @@ fn subscribers_that_do_not_read_and_clients_that_do_not_speak_harm_nobody() {
     let stalled = Listener::new(&bench.graph, "/scan_match_debug");
     SockRef::from(&stalled.stream).set_recv_buffer_size(4096).unwrap();
     let half_open: Vec<_> = (0..2).map(|_| connect(&bench.graph, "/scan_match_debug")).collect();
-    let half_open_service = TcpStream::connect(bench.service_address("/scan_matcher/reset")).unwrap();
+    let half_open_service = TcpStream::connect(bench.graph.service_address("/scan_matcher/reset")).unwrap();
     assert!(bench.graph.trigger("/scan_matcher/reset").contains("initial pose"));
     let mut healthy = Listener::new(&bench.graph, "/scan_match_debug"); // behind those that do not speak
     let memory = bench.resources().memory;

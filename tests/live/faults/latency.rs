@@ -9,7 +9,8 @@ use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 
 use super::bench::{Bench, send};
-use super::roscpp::{hear_echo, start_echo};
+use super::roscpp::Echo;
+use crate::common::graph::installed;
 use crate::common::wire::Listener;
 
 /// Sends scans at `hertz`; the latencies of those that were answered, in ascending order.
@@ -75,23 +76,40 @@ fn print(what: &str, latencies: &[Duration]) {
 }
 
 /// `at_least`: so many scans are answered on the busiest machine.
-fn compare(beams: usize, count: u32, hertz: f64, at_least: usize) {
-    let Some(mut bench) = Bench::start(beams) else { return };
+fn compare(beams: usize, count: u32, hertz: f64, echo: Option<&Echo>, at_least: usize) {
+    let Some(mut bench) = Bench::alone(beams) else { return };
     bench.step();
     std::thread::sleep(SETTLED);
     let scans: Vec<LaserScan> = (0..count).map(|_| bench.next_scan()).collect();
     let ours = measure(&scans, hertz, &mut bench.scans, &mut bench.poses);
     print(&format!("{beams} beams at {hertz} Hz"), &ours);
-    if let Some(_echo) = start_echo(&bench.graph) {
+    if let Some(echo) = echo {
+        let _running = echo.start(&bench.graph);
         let mut link = bench.lidar.link();
-        print("  an echo by roscpp", &measure(&scans, hertz, &mut link, &mut hear_echo(&bench.graph)));
+        print("  an echo by roscpp", &measure(&scans, hertz, &mut link, &mut Echo::listener(&bench.graph)));
     }
     print("  an echo of bare bytes", &measure_echo(count, hertz, 4 * beams));
     assert!(ours.len() > at_least, "{}", ours.len());
 }
 
+/// So many scans at 40 Hz, and at 1 kHz.
+fn compare_at_both_rates(slow: u32, fast: u32) {
+    if !installed("roscore") {
+        return;
+    }
+    let echo = Echo::compile();
+    compare(1081, slow, 40.0, echo.as_ref(), slow as usize * 3 / 4);
+    compare(181, fast, 1000.0, echo.as_ref(), fast as usize * 3 / 40);
+}
+
 #[test]
 fn latency_of_a_pose() {
-    compare(1081, 800, 40.0, 600);
-    compare(181, 4000, 1000.0, 300);
+    compare_at_both_rates(200, 2000);
+}
+
+/// Figures to be stated: `cargo test --test live -- --ignored latency --nocapture`.
+#[test]
+#[ignore = "takes a minute and a half"]
+fn latency_of_a_pose_over_many_scans() {
+    compare_at_both_rates(800, 4000);
 }
