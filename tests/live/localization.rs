@@ -226,7 +226,7 @@ fn the_map_of_a_file_is_published_latched_and_served() {
 
 #[test]
 fn poses_transforms_and_pictures_belong_to_the_scan() {
-    let Some(graph) = Graph::start() else { return };
+    let Some(graph) = Graph::alone() else { return };
     let drive = Drive::write(graph.dir.path(), 6.0, |_, _| ());
     let node = start(&graph, &[&drive.initial_pose(), &map_file(graph.dir.path())]);
     node.expect_log("has a map of 400 x 300");
@@ -263,7 +263,7 @@ fn poses_transforms_and_pictures_belong_to_the_scan() {
 
 #[test]
 fn a_timer_drives_the_updates_and_no_scan_is_evidence_twice() {
-    let Some(graph) = Graph::start() else { return };
+    let Some(graph) = Graph::alone() else { return };
     let drive = Drive::write(graph.dir.path(), 6.0, |_, _| ());
     let map = map_file(graph.dir.path());
     for (period, least_poses, most_reports) in [("10ms", 200, 125), ("200ms", 20, 35)] {

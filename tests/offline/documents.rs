@@ -119,7 +119,7 @@ fn the_two_commands_are_on_the_first_screen_and_are_what_is_checked() {
     assert!(run.starts_with("cargo run") && test == "cargo test", "{commands:?}");
     for command in commands {
         let step = format!("step {command}");
-        assert!(checks.lines().any(|line| line.trim_start() == step), "'{step}' is missing in .ci/run");
+        assert!(checks.lines().any(|line| line == step), "'{step}' is missing in .ci/run");
     }
 }
 
