@@ -101,9 +101,7 @@ impl Graph {
     }
 
     pub fn start() -> Option<Self> {
-        let mut graph = Self::without_master()?;
-        graph.start_master();
-        Some(graph)
+        Self::without_master().map(Self::with_master)
     }
 
     /// With the machine for itself: for tests that measure times or drive fast.
@@ -113,9 +111,12 @@ impl Graph {
 
     /// The same, with a master.
     pub fn alone() -> Option<Self> {
-        let mut graph = Self::alone_without_master()?;
-        graph.start_master();
-        Some(graph)
+        Self::alone_without_master().map(Self::with_master)
+    }
+
+    fn with_master(mut self) -> Self {
+        self.start_master();
+        self
     }
 
     fn new(turn: fn() -> Turn) -> Option<Self> {
