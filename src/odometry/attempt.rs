@@ -20,6 +20,8 @@ pub(super) struct Last {
     pub(super) map_from_base: Pose2,
     pub(super) map_from_laser: Pose2,
     pub(super) covariance: PoseCovariance,
+    /// The same seen from the keyframe that it was matched to, along the axes of the base.
+    pub(super) covariance_to_keyframe: PoseCovariance,
     /// The velocity that led from the answer before to this one.
     pub(super) seen_twist: Twist2,
     /// The same, but of the last step that a robot can have driven. Sweeps are straightened by it: the filter's, which is of the step's
@@ -51,13 +53,14 @@ pub(super) struct Attempt {
 }
 
 impl Attempt {
-    /// Covariance of the predicted pose of the laser in the keyframe's frame.
-    pub(super) fn prior(&self, keyframe: &Placement) -> Prior {
+    /// The predicted pose of the laser in the keyframe's frame. `of_last`: covariance of the last pose there, along the axes of the base.
+    pub(super) fn prior(&self, keyframe: &Placement, of_last: &PoseCovariance) -> Prior {
         let none = PoseCovariance::zeros();
         let keyframe_from_last = keyframe.map_from_laser.between(&self.last.map_from_base);
         let Prediction { motion, covariance } = &self.prediction;
         let keyframe_from_base = keyframe_from_last * *motion;
-        let of_base = uncertainty::compound(&keyframe_from_last, &none, motion, covariance);
+        let of_last = uncertainty::turned(of_last, keyframe_from_last.theta);
+        let of_base = uncertainty::compound(&keyframe_from_last, &of_last, motion, covariance);
         Prior {
             pose: keyframe_from_base * self.base_from_laser,
             covariance: uncertainty::compound(&keyframe_from_base, &of_base, &self.base_from_laser, &none),

@@ -91,7 +91,7 @@ impl Lag {
     }
 
     fn judge(&mut self, turn: &Turn, odometry: &WheelOdometry) {
-        let variance = uncertainty::of_wheels(&turn.motion).m33;
+        let variance = uncertainty::of_wheels(&turn.motion, turn.to.seconds_since(turn.from)).m33;
         let cost = |i: usize| {
             let motion = odometry.motion(turn.from.offset_by(-lag(i)), turn.to.offset_by(-lag(i)))?;
             let error = wrap_angle(motion.theta - turn.motion.theta);

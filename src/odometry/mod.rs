@@ -4,6 +4,7 @@
 //! `odom` is where the pose never jumps (REP 105); `base` is the robot, `laser` the sensor, and the keyframe is the reference scan's
 //! laser. When a place is recognised, map and odom part: [`Registration::map_from_odom`].
 
+mod answer;
 mod attempt;
 mod clock_step;
 mod drift;
@@ -34,6 +35,7 @@ use crate::matching::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
 use crate::scan::Scan;
 use crate::time::{NEW_RUN, Stamp};
+use answer::{Answer, Found, problem};
 use attempt::{Attempt, Last};
 use clock_step::ClockStep;
 use heading::HeadingReading;
@@ -57,7 +59,7 @@ const TURN_JUMP: f64 = 0.04;
 const MAX_ACCELERATION: f64 = 30.0;
 /// ... and rad/s^2.
 const MAX_TURN_ACCELERATION: f64 = 100.0;
-/// Weight of the last scan in the usual agreement.
+/// Weight of the last scan in the usual agreement and period.
 const USUAL_WEIGHT: f64 = 0.05;
 /// Time that the usual velocity is of, s.
 const USUAL_TIME: f64 = 0.1;
@@ -163,6 +165,8 @@ pub struct LaserOdometry {
     unfinished: Option<(Scan, Attempt, Pose2)>,
     last: Option<Last>,
     usual_agreement: f64,
+    /// Time from one scan to the next, s.
+    usual_period: f64,
     start: Pose2,
     set_pose: Option<SetPose>,
     /// The velocity of the last [`USUAL_TIME`]; a single pose that jumps spoils it little.
@@ -193,6 +197,7 @@ impl LaserOdometry {
             unfinished: None,
             last: None,
             usual_agreement: 1.0,
+            usual_period: 0.0,
             start: knobs.initial_pose,
             set_pose: None,
             usual_twist: Twist2::default(),
@@ -423,8 +428,9 @@ impl LaserOdometry {
 
     /// Matches a scan to the keyframe, from `start` on.
     fn match_to(&mut self, keyframe: &Placement, scan: &Scan, attempt: &Attempt, start: Pose2, driver: &mut Driver) -> Found {
+        let none = PoseCovariance::zeros();
         let guess =
-            FirstGuess { pose: start, prior: Some(attempt.prior(keyframe)), window: attempt.window(self.usual_agreement) };
+            FirstGuess { pose: start, prior: Some(attempt.prior(keyframe, &none)), window: attempt.window(self.usual_agreement) };
         let mut refinement = self.matcher.begin(scan, guess);
         let stop_reason = driver.drive(&mut refinement);
         self.iterations.clear();
@@ -447,32 +453,14 @@ impl LaserOdometry {
         if let Some(problem) = problem(&report, &correction, &self.knobs) {
             return Found { report, keyframe_from_laser, agreement, answer: Err(problem) };
         }
-        // Where the scans leave a direction open, what is known of it is the prediction.
-        let prediction_covariance = attempt.prediction.covariance;
-        let prior = attempt.prior(keyframe).covariance.try_inverse().unwrap_or_default();
-        // `alike`: so many rays are taken for one.
-        let known = |alike: f64| uncertainty.and_then(|known| (known.information? / alike + prior).try_inverse());
-        let match_covariance = match_covariance.unwrap_or(prediction_covariance);
-        // The noise of rays averages out over the scans; what they have in common stays, and adds up from keyframe to keyframe.
-        let stays = known(uncertainty::rays_alike(scan, report.rays_used)).unwrap_or(match_covariance);
-        let laser_covariance =
-            uncertainty::compound(&keyframe.map_from_laser, &keyframe.covariance, &keyframe_from_laser, &stays);
-        let laser_from_base = attempt.base_from_laser.inverse();
-        let answer = Answer {
-            outcome: Outcome::Matched,
-            is_lost: false,
-            map_from_base: map_from_laser * laser_from_base,
-            covariance: uncertainty::compound(&map_from_laser, &laser_covariance, &laser_from_base, &PoseCovariance::zeros()),
-            step_covariance: uncertainty::turned(&match_covariance, keyframe.map_from_laser.theta),
-            matched_covariance: known(1.0).map(|known| {
-                let of_base = uncertainty::compound(&keyframe_from_laser, &known, &laser_from_base, &PoseCovariance::zeros());
-                uncertainty::turned(&of_base, -base_heading)
-            }),
-            refinement: Some(report),
-            predicted_error: ErrorEstimate::of_covariance(&prediction_covariance),
-            estimated_error,
-        };
-        Found { report, keyframe_from_laser, agreement, answer: Ok(answer) }
+        let alike = uncertainty::rays_alike(scan, report.rays_used);
+        let answer = Answer::matched(attempt, keyframe, &keyframe_from_laser, uncertainty.as_ref(), alike);
+        Found {
+            keyframe_from_laser,
+            agreement,
+            answer: Ok(Answer { estimated_error, refinement: Some(report), ..answer }),
+            report,
+        }
     }
 
     /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register_within`] does it otherwise.
@@ -636,18 +624,7 @@ impl LaserOdometry {
         map_from_base: Pose2,
         covariance: PoseCovariance,
     ) -> Registration {
-        let answer = Answer {
-            outcome: Outcome::First,
-            is_lost: false,
-            map_from_base,
-            covariance,
-            step_covariance: covariance,
-            matched_covariance: None,
-            refinement: None,
-            predicted_error: ErrorEstimate::of_covariance(&covariance),
-            estimated_error: ErrorEstimate::of_covariance(&covariance),
-        };
-        self.conclude(scan, base_from_laser, answer, true)
+        self.conclude(scan, base_from_laser, Answer::first(map_from_base, covariance), true)
     }
 
     /// The prediction as answer. `is_lost`: the scan could not be matched. It becomes the keyframe then: the one it was to be matched to
@@ -674,17 +651,7 @@ impl LaserOdometry {
             let twist = last.motion.expect(scan.stamp().seconds_since(last.stamp)).unseen().twist;
             return Registration { refinement, ..self.passing(problem, map_from_base, &pose_covariance, (twist, error)) };
         }
-        let answer = Answer {
-            outcome: Outcome::Predicted(problem),
-            is_lost,
-            map_from_base,
-            covariance: pose_covariance,
-            step_covariance: uncertainty::turned(covariance, last.map_from_base.theta),
-            matched_covariance: None,
-            refinement,
-            predicted_error: error,
-            estimated_error: error,
-        };
+        let answer = Answer { is_lost, refinement, ..Answer::predicted(attempt, problem) };
         self.conclude(scan, base_from_laser, answer, becomes_keyframe)
     }
 
@@ -717,6 +684,7 @@ impl LaserOdometry {
                 map_from_base,
                 map_from_laser: map_from_base,
                 covariance,
+                covariance_to_keyframe: PoseCovariance::zeros(),
                 seen_twist: twist,
                 mean_twist: twist,
                 motion: state,
@@ -745,7 +713,9 @@ impl LaserOdometry {
         self.waited_in_vain = self.sources.is_behind(stamp);
         let expected = last.motion.expect(stamp.seconds_since(last.stamp)).prediction();
         let said = self.sources.motion_without_imu(last.stamp, stamp);
-        let said = said.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion) });
+        // Where stamps jitter, less time has passed by them than it took.
+        let seconds = stamp.seconds_since(last.stamp).max(self.usual_period);
+        let said = said.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion, seconds) });
         let said_turn = self.sources.turn_by_imu(last.stamp, stamp);
         self.count_disbelieved(said.is_some());
         // Where nothing else is known, a velocity that was wrong is no worse than before: a robot that was carried off drives on.
@@ -799,6 +769,7 @@ impl LaserOdometry {
         let is_lost = answer.is_lost || !goes_on;
         let mean_twist = self.last.filter(|_| !goes_on).map_or(seen_twist, |last| last.mean_twist);
         let seconds = self.last.map_or(0.0, |last| scan.stamp().seconds_since(last.stamp));
+        self.usual_period += USUAL_WEIGHT * (seconds - self.usual_period);
         self.usual_twist = self.usual_twist.towards(&motion.twist, (seconds / USUAL_TIME).clamp(0.0, 1.0));
         let becomes_keyframe = becomes_keyframe || is_lost;
         let map_from_laser = answer.map_from_base * *base_from_laser;
@@ -814,6 +785,7 @@ impl LaserOdometry {
             map_from_base: answer.map_from_base,
             map_from_laser,
             covariance: answer.covariance,
+            covariance_to_keyframe: if becomes_keyframe { PoseCovariance::zeros() } else { answer.covariance_to_keyframe },
             seen_twist,
             mean_twist,
             motion,
@@ -854,67 +826,10 @@ impl LearnedNoise {
     }
 }
 
-/// What [`LaserOdometry::conclude`] turns into a [`Registration`].
-struct Answer {
-    outcome: Outcome,
-    /// How the robot came here from the answer before is not known.
-    is_lost: bool,
-    map_from_base: Pose2,
-    covariance: PoseCovariance,
-    /// What the step from the last answer, or the keyframe, adds to that.
-    step_covariance: PoseCovariance,
-    /// Of a match: what is known of the pose among the keyframes, along the axes of the base.
-    matched_covariance: Option<PoseCovariance>,
-    refinement: Option<RefinementReport>,
-    predicted_error: ErrorEstimate,
-    estimated_error: ErrorEstimate,
-}
-
 /// A scan that is to become a keyframe.
 struct UpcomingKeyframe {
     scan: Scan,
     place: Placement,
     /// How the robot came here from the last keyframe is not known.
     is_lost: bool,
-}
-
-/// What came of an attempt.
-struct Found {
-    report: RefinementReport,
-    keyframe_from_laser: Pose2,
-    /// The part of the rays that agree, where the pairs tell.
-    agreement: Option<f64>,
-    /// The answer, or why there is none.
-    answer: Result<Answer, Failure>,
-}
-
-/// Why the pose reached is not to be believed, if so.
-fn problem(report: &RefinementReport, correction: &Pose2, knobs: &OdometryKnobs) -> Option<Failure> {
-    let stop_reason = report.stop_reason;
-    if stop_reason.is_failure() {
-        return Some(match stop_reason {
-            StopReason::Singular => Failure::new(FailureReason::Singular, "the correspondences determine no pose"),
-            _ => Failure::new(
-                FailureReason::TooFewCorrespondences,
-                format!("too few correspondences: the scan of {} rays does not fit the reference", report.rays),
-            ),
-        });
-    }
-    if report.iterations == 0 {
-        return Some(match stop_reason {
-            StopReason::Interrupted => {
-                Failure::new(FailureReason::Interrupted, "the answer was called for before the first iteration")
-            }
-            _ => Failure::new(FailureReason::NoTime, "the time budget leaves no time for an iteration"),
-        });
-    }
-    if correction.distance() > knobs.max_correction_distance || correction.theta.abs() > knobs.max_correction_angle {
-        let text = format!(
-            "the match corrects the prediction by {:.2} m and {:.1} degrees: more than max_correction_distance or max_correction_angle",
-            correction.distance(),
-            correction.theta.abs().to_degrees()
-        );
-        return Some(Failure::new(FailureReason::CorrectionTooLarge, text));
-    }
-    None
 }

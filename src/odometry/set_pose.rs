@@ -104,6 +104,7 @@ impl LaserOdometry {
             map_from_base,
             map_from_laser,
             covariance: none,
+            covariance_to_keyframe: none,
             seen_twist: twist,
             mean_twist: twist,
             motion: goes_on,

@@ -70,7 +70,7 @@ mod tests {
         let mut noise = SourceNoise::default();
         for &(said, found) in steps {
             let motion = Pose2::new(said, 0.0, 0.0);
-            let said = Prediction { motion, covariance: uncertainty::of_wheels(&motion) };
+            let said = Prediction { motion, covariance: uncertainty::of_wheels(&motion, 0.2) };
             noise.judge(deviation(&said, &Pose2::new(found, 0.0, 0.0)));
         }
         noise
@@ -96,7 +96,7 @@ mod tests {
     #[test]
     fn turns_contradict_too_and_go_round() {
         let motion = Pose2::new(0.0, 0.0, 3.0);
-        let said = Prediction { motion, covariance: uncertainty::of_wheels(&motion) };
+        let said = Prediction { motion, covariance: uncertainty::of_wheels(&motion, 0.2) };
         assert!(deviation(&said, &Pose2::new(0.0, 0.0, -3.0)) < 1.0);
         assert!(deviation(&said, &Pose2::IDENTITY) > 3.0);
     }

@@ -7,6 +7,10 @@ use crate::scan::Scan;
 
 /// Neighbouring rays within this angle err alike, rad.
 const ERRING_ALIKE: f64 = 0.08;
+/// What wheels say is off by so much, m and rad, whatever the robot does: they turn on the spot, messages are rounded, stamps jitter ...
+const WHEEL_ERROR: f64 = 0.01;
+/// ... and within a short time by less, m and rad per root of a second, so that a laser's rate makes no difference.
+const WHEEL_WANDERING: f64 = 0.035;
 
 /// Covariance of `a * b` in the frame that `a` is given in, for independent errors of the two (Smith, Self and Cheeseman 1990).
 /// `a_covariance` is in that frame too, `b_covariance` in the frame that `b` is given in.
@@ -44,11 +48,12 @@ pub fn turned(covariance: &PoseCovariance, angle: f64) -> PoseCovariance {
     turn * covariance * turn.transpose()
 }
 
-/// Covariance of a motion measured by wheels, seen from its start: grows with the way and the turn. The figures suit uncalibrated
-/// wheel odometry.
-pub fn of_wheels(motion: &Pose2) -> PoseCovariance {
+/// Covariance of a motion measured by wheels within `seconds`, seen from its start: grows with the way and the turn. The figures suit
+/// uncalibrated wheel odometry.
+pub fn of_wheels(motion: &Pose2, seconds: f64) -> PoseCovariance {
     let (way, turn) = (motion.distance(), motion.theta.abs());
-    diagonal(0.01 + 0.1 * way + 0.02 * turn, 0.01 + 0.15 * turn + 0.03 * way)
+    let still = (WHEEL_WANDERING * seconds.sqrt()).min(WHEEL_ERROR);
+    diagonal(still + 0.1 * way + 0.02 * turn, still + 0.15 * turn + 0.03 * way)
 }
 
 /// How many of the rays of a scan that have taken part in a match are as good as one in saying where something stands: they have met the

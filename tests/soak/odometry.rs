@@ -197,7 +197,7 @@ fn wheels_that_count_forward_while_the_robot_backs_are_not_believed() {
     let disbelieved = app.odometry_counters().odometry_disbelieved;
     println!("four seconds of odometry the wrong way: {error:.4} m, not believed {disbelieved} times");
     assert!(error < 0.0023, "{error}");
-    assert!((150..=165).contains(&disbelieved), "{disbelieved}");
+    assert!((150..=170).contains(&disbelieved), "{disbelieved}");
 }
 
 /// Laps with a laser whose beams are a little farther apart than it says, so that every turn is measured too small.
