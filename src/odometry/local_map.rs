@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use super::placement::Placement;
 use super::{drift, uncertainty};
-use crate::geometry::Pose2;
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::{COARSE_VIEWS, PlacedView, View};
 
 /// A turn by this much makes two views as different as a metre between them does, rad.
@@ -57,6 +57,8 @@ struct Link {
 pub(super) struct Unrecognised {
     /// Pose of the laser at the first one.
     pub(super) map_from_laser: Pose2,
+    /// Covariance of that pose, in the map frame.
+    pub(super) covariance: PoseCovariance,
     way: f64,
 }
 
@@ -165,13 +167,13 @@ impl LocalMap {
         views: &mut Vec<PlacedView>,
     ) -> Option<Unrecognised> {
         self.find_near(map_from_laser, |map, way| !map.is_known(way));
-        let &Keyframe { place: Placement { map_from_laser, .. }, way, .. } = &self.keyframes[self.near.first()?.1];
+        let &Keyframe { place: Placement { map_from_laser, covariance, .. }, way, .. } = &self.keyframes[self.near.first()?.1];
         let mut near = std::mem::take(&mut self.near);
         near.retain(|&(_, i)| self.connected(way).any(|stretch| stretch.contains(&self.keyframes[i].way)));
         near.truncate(count);
         self.near = near;
         self.place_views(views);
-        Some(Unrecognised { map_from_laser, way })
+        Some(Unrecognised { map_from_laser, covariance, way })
     }
 
     /// Whether no scan is matched to keyframes of long ago: then the path drifts.

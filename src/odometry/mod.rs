@@ -155,6 +155,8 @@ pub struct LaserOdometry {
     waited_in_vain: bool,
     map: LocalMap,
     map_from_odom: Pose2,
+    /// Covariance of its inverse, in the odom frame: by so much the path had drifted where places were recognised.
+    drift_covariance: PoseCovariance,
     loop_closer: LoopCloser,
     /// The last keyframe has not been compared with earlier ones yet.
     to_be_recognised: bool,
@@ -189,6 +191,7 @@ impl LaserOdometry {
             waited_in_vain: false,
             map: LocalMap::default(),
             map_from_odom: Pose2::IDENTITY,
+            drift_covariance: PoseCovariance::zeros(),
             loop_closer: LoopCloser::default(),
             to_be_recognised: false,
             views: Vec::new(),
@@ -246,6 +249,7 @@ impl LaserOdometry {
         self.clock_step = ClockStep::default();
         self.last = None;
         self.map_from_odom = Pose2::IDENTITY;
+        self.drift_covariance = PoseCovariance::zeros();
         self.start = map_from_base;
         self.set_pose = None;
     }
@@ -534,11 +538,18 @@ impl LaserOdometry {
         self.map.link(earlier);
         let Recognition::Drifted(correction) = recognition else { return };
         self.map.correct(earlier, correction);
-        self.map_from_odom = *correction * self.map_from_odom;
         if let Some(last) = &mut self.last {
+            // On the map the pose is known from there on as the earlier keyframe's is; in odom as it was.
+            let odom_from_map = self.map_from_odom.inverse();
+            let in_odom = uncertainty::compound(&odom_from_map, &self.drift_covariance, &last.map_from_base, &last.covariance);
+            last.covariance = earlier.covariance;
+            let way = odom_from_map.transform().rotate(last.map_from_base.translation());
+            let drift = in_odom - uncertainty::turned(&last.covariance, odom_from_map.theta);
+            self.drift_covariance = uncertainty::before_way(&uncertainty::positive(&drift), way);
             last.map_from_base = *correction * last.map_from_base;
             last.map_from_laser = *correction * last.map_from_laser;
         }
+        self.map_from_odom = *correction * self.map_from_odom;
     }
 
     fn wants_keyframe(&self, keyframe_from_laser: &Pose2) -> bool {
@@ -605,7 +616,7 @@ impl LaserOdometry {
             outcome,
             odom_from_base: odom_from_map * map_from_base,
             map_from_odom: self.map_from_odom,
-            covariance: uncertainty::compound(&odom_from_map, &PoseCovariance::zeros(), &map_from_base, covariance),
+            covariance: uncertainty::compound(&odom_from_map, &self.drift_covariance, &map_from_base, covariance),
             twist: Twist2::default(),
             twist_covariance: PoseCovariance::zeros(),
             refinement: None,

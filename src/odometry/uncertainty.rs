@@ -1,6 +1,6 @@
 //! How uncertainty goes through chains of poses.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, SymmetricEigen};
 
 use crate::geometry::{Point, Pose2, PoseCovariance};
 use crate::scan::Scan;
@@ -28,6 +28,19 @@ pub(super) fn way_by_heading(way: Point) -> Matrix3<f64> {
         0.0, 0.0, 1.0,
     );
     by_pose
+}
+
+/// What the covariance of a pose is due to at the start of a way, `way` long, of which nothing is uncertain, along the same axes.
+pub(super) fn before_way(covariance: &PoseCovariance, way: Point) -> PoseCovariance {
+    let back = way_by_heading(-way);
+    back * covariance * back.transpose()
+}
+
+/// A difference of covariances, without what is negative of it.
+pub(super) fn positive(difference: &PoseCovariance) -> PoseCovariance {
+    let mut parts = SymmetricEigen::new(*difference);
+    parts.eigenvalues.apply(|part| *part = part.max(0.0));
+    parts.recompose()
 }
 
 /// A turn of the axes that errors (x, y, heading) are given along.
@@ -71,6 +84,14 @@ pub fn diagonal(position: f64, heading: f64) -> PoseCovariance {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_a_way_adds_is_taken_back() {
+        let (start, way) = (diagonal(0.1, 0.02) + Matrix3::repeat(1e-4), Pose2::new(3.0, -2.0, 0.7));
+        let end = compound(&Pose2::IDENTITY, &start, &way, &PoseCovariance::zeros());
+        assert!((before_way(&end, way.translation()) - start).norm() < 1e-12);
+        assert!((positive(&end) - end).norm() < 1e-12 && positive(&-end).norm() < 1e-12);
+    }
     use crate::scan::BeamGeometry;
     use crate::time::Stamp;
 

@@ -129,6 +129,27 @@ fn two_laps_at_four_metres_a_second_without_a_touch() {
 }
 
 #[test]
+fn a_raceline_of_a_file_is_driven_by_the_scan_matcher_and_another_law() {
+    let Some(graph) = Graph::start() else { return };
+    let course = Course::load(corridor().to_str().unwrap(), None).unwrap();
+    let raceline = graph.dir.path().join("raceline.csv");
+    let way = (0..200).map(|step| course.path.point(course.path.length() * f64::from(step) / 200.0));
+    let lines: Vec<String> = way.map(|point| format!("{:.3}; {:.3}; 2.5", point.x, point.y)).collect();
+    std::fs::write(&raceline, format!("# x_m; y_m; vx_mps\n{}\n", lines.join("\n"))).unwrap();
+    let path = format!("path:={}", raceline.display());
+    let arguments = ["estimator:=scan_matcher", "law:=proportional", "time_budget:=10ms", &path];
+    let launch = launch(&graph, &corridor(), &course.start(0.0), &arguments);
+    launch.expect_log("follows paths by proportional");
+    launch.expect_log("drives");
+    let drive = record_way(&graph, 15.0, Duration::from_secs(20));
+    let worst = *drive.errors(&course).last().unwrap();
+    let fastest = drive.reports.iter().map(|report| report.speed).fold(0.0, f64::max);
+    eprintln!("{:.1} m by the scan matcher, {worst:.3} m off at most, up to {fastest:.2} m/s", drive.length());
+    assert!(drive.length() > 14.0 && worst < 0.25, "{} m, {worst} m off: {}", drive.length(), launch.log());
+    assert!((2.0..=2.6).contains(&fastest), "{fastest} m/s: the file says 2.5");
+}
+
+#[test]
 fn it_drives_to_goals_and_lives_with_paths_nobody_should_send() {
     let Some(graph) = Graph::start() else { return };
     let start = Pose2::new(0.0, -6.1, 0.0);
