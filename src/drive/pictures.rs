@@ -7,6 +7,8 @@ use crate::evaluation::plot::{Colour, Dash, Look, Mark, Panel, Path, PlotError, 
 
 /// Width of the path as driven, pixels.
 const WIDTH: u32 = 4;
+/// By so much what is drawn first is wider than what comes upon it, pixels.
+const WIDER: u32 = 5;
 /// Colours of distances from the path up to, m.
 const CLASSES: [(f64, &str, Colour); 4] = [
     (0.05, "up to 5 cm off", Colour::Green),
@@ -28,7 +30,7 @@ pub(super) fn path(course: &Course, run: &Run) -> Result<String, PlotError> {
         let points = first.into_iter().chain(group.iter().map(|trace| trace.point)).collect();
         paths.push(Path { name: name.into(), look: Look::line(colour, WIDTH), points });
     }
-    top_view(paths, course.wall_points())
+    top_view(paths, course.wall_points(), "walls")
 }
 
 /// The highest speed without a crash against the load, one curve a policy. A speed counts if all slower ones are without a crash, too.
@@ -40,10 +42,14 @@ pub(super) fn speed_against_load(outcomes: &[Outcome]) -> Result<String, PlotErr
             policies.push(name);
         }
     }
-    let looks = Colour::CURVES.into_iter().cycle().map(|colour| Look {
+    // Policies that are equally good are all to be seen: what is drawn first is wider.
+    #[allow(clippy::cast_possible_truncation)] // a few
+    let below = (0..policies.len() as u32).rev();
+    let looks = Colour::CURVES.into_iter().cycle().zip(below).map(|(colour, below)| Look {
         mark: Mark::Disc,
+        mark_radius: 8 + WIDER * below,
         dash: Dash::Solid,
-        ..Look::line(colour, WIDTH)
+        ..Look::line(colour, WIDTH + WIDER * below)
     });
     let series =
         policies.iter().zip(looks).map(|(name, look)| Series { name: name.clone(), look, points: highest(outcomes, name) });

@@ -230,7 +230,7 @@ fn trajectories(results: &Results) -> Result<Picture, ProfileError> {
              last one.",
             case_words(results)
         ),
-        svg: top_view(paths, scan_points)?,
+        svg: top_view(paths, scan_points, "scans")?,
     })
 }
 

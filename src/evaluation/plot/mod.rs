@@ -67,9 +67,10 @@ pub fn trajectory_plot(
     let mut paths: Vec<_> = truth.map(true_path).into_iter().collect();
     paths.push(Path { name, look: Look::line(Colour::Blue, style::ESTIMATE_WIDTH), points: positions(estimate, &frame) });
     let transform = frame.transform();
-    let scan_points = scan_points.unwrap_or_default().iter().map(|p| transform.apply(*p)).collect();
+    let beneath = scan_points.unwrap_or_default().iter().map(|p| transform.apply(*p)).collect();
     let panels = ate.map(|ate| error_panels::panels(&ate, &matched));
-    let svg = top_view_with(paths, scan_points, panels.as_ref().map_or(&[], |panels| panels))?;
+    let view = TopView { paths, beneath, beneath_name: "scans" };
+    let svg = top_view_with(&view, panels.as_ref().map_or(&[], |panels| panels))?;
     write(path, &svg)
 }
 
@@ -85,14 +86,13 @@ pub fn positions(trajectory: &Trajectory, frame: &Pose2) -> Vec<Point> {
     trajectory.poses().iter().map(|p| transform.apply(p.pose.translation())).collect()
 }
 
-/// Paths in the plane over points of scans, as an SVG picture; marks at the ends of the last path.
-pub fn top_view(paths: Vec<Path>, scan_points: Vec<Point>) -> Result<String, PlotError> {
-    top_view_with(paths, scan_points, &[])
+/// Paths in the plane over points of scans or walls, `beneath_name`, as an SVG picture; marks at the ends of the last path.
+pub fn top_view(paths: Vec<Path>, beneath: Vec<Point>, beneath_name: &'static str) -> Result<String, PlotError> {
+    top_view_with(&TopView { paths, beneath, beneath_name }, &[])
 }
 
 /// Legend, top view and panels, one above the other.
-fn top_view_with(paths: Vec<Path>, scan_points: Vec<Point>, panels: &[Panel]) -> Result<String, PlotError> {
-    let view = TopView { paths, scan_points };
+fn top_view_with(view: &TopView, panels: &[Panel]) -> Result<String, PlotError> {
     let window = view.window();
     if !window.is_finite() || !panels.iter().all(Panel::is_finite) {
         return Err(PlotError::TooLarge);

@@ -35,8 +35,10 @@ pub struct Path {
 pub(super) struct TopView {
     /// The last one on top, with marks at its ends.
     pub(super) paths: Vec<Path>,
-    /// Empty when there are none.
-    pub(super) scan_points: Vec<Point>,
+    /// Beneath them, where scans or walls are; empty when there are none.
+    pub(super) beneath: Vec<Point>,
+    /// What those are.
+    pub(super) beneath_name: &'static str,
 }
 
 /// The part of the plane in view.
@@ -72,7 +74,7 @@ impl TopView {
 
     /// What has to be in view along one axis, with a margin: the paths whole, of the scans all but the outermost 1 %.
     fn extent(&self, coordinate: fn(&Point) -> f64) -> Range<f64> {
-        let mut scans: Vec<f64> = self.scan_points.iter().map(coordinate).collect();
+        let mut scans: Vec<f64> = self.beneath.iter().map(coordinate).collect();
         scans.sort_by(f64::total_cmp);
         let outermost = scans.len() / 100;
         let paths = self.paths.iter().flat_map(|path| &path.points).map(coordinate);
@@ -118,8 +120,8 @@ impl TopView {
             }
         }
         entries.extend([entry("start", START), entry("end", END)]);
-        if !self.scan_points.is_empty() {
-            entries.push(entry("scans", Look::discs(Colour::Grey, START.mark_radius)));
+        if !self.beneath.is_empty() {
+            entries.push(entry(self.beneath_name, Look::discs(Colour::Grey, START.mark_radius)));
         }
         entries
     }
@@ -131,7 +133,7 @@ impl TopView {
         let index = |v: f64, start: f64| ((v - start) / side) as i32;
         let in_view = |p: &&Point| window.x.contains(&p.x) && window.y.contains(&p.y);
         let cell = |p: &Point| (index(p.y, window.y.start), index(p.x, window.x.start));
-        let cells: BTreeSet<_> = self.scan_points.iter().filter(in_view).map(cell).collect();
+        let cells: BTreeSet<_> = self.beneath.iter().filter(in_view).map(cell).collect();
         let mut runs: Vec<(i32, Range<i32>)> = Vec::new();
         for (row, column) in cells {
             match runs.last_mut() {
@@ -155,7 +157,7 @@ mod tests {
     fn scan_points_merge_into_runs_and_those_out_of_view_are_left_out() {
         let scan_points = [(0.1, 0.1), (0.2, 0.3), (1.5, 0.5), (3.5, 0.5), (0.5, 2.5), (9.0, 0.5), (0.5, -0.1)];
         let scan_points = scan_points.map(|(x, y)| Point::new(x, y)).to_vec();
-        let view = TopView { paths: paths(&[Point::zeros()]), scan_points };
+        let view = TopView { paths: paths(&[Point::zeros()]), beneath: scan_points, beneath_name: "scans" };
         let window = Window { x: 0.0..5.0, y: 0.0..5.0, height: 500, metres_per_pixel: 0.01 };
         assert_eq!(view.scan_runs(&window, 1.0), [(0, 0..2), (0, 3..4), (2, 0..1)]);
     }
@@ -163,7 +165,7 @@ mod tests {
     #[test]
     fn a_metre_is_as_long_along_both_axes_and_everything_is_in_view() {
         for (x, y) in [(0.0, 0.0), (100.0, 1.0), (1.0, 100.0), (30.0, 20.0)] {
-            let view = TopView { paths: paths(&[Point::zeros(), Point::new(x, y)]), scan_points: vec![] };
+            let view = TopView { paths: paths(&[Point::zeros(), Point::new(x, y)]), beneath: vec![], beneath_name: "scans" };
             let Window { x: across, y: up, height, metres_per_pixel } = view.window();
             assert!(across.contains(&0.0) && across.contains(&x) && up.contains(&0.0) && up.contains(&y));
             for (extent, pixels) in [(across, style::PLOT_WIDTH), (up, height)] {
