@@ -371,7 +371,8 @@ impl Mapper {
 /// A loop edge with less of its weight left is contradicted by the others.
 const OUTVOTED: f64 = 0.05;
 
-/// Covariance of a motion between keyframes by odometry: that of wheels that drove it in any time, so that it counts where matches say nothing, and only there.
+/// Covariance of a motion between keyframes by odometry: that of wheels that drove it in any time, so that it counts where matches say
+/// nothing, and only there.
 fn of_step(motion: &Pose2) -> PoseCovariance {
     uncertainty::of_wheels(motion, f64::INFINITY)
 }

@@ -649,21 +649,20 @@ impl LaserOdometry {
         becomes_keyframe: bool,
         is_lost: bool,
     ) -> Registration {
-        let Attempt { last, prediction: Prediction { covariance, .. }, base_from_laser, .. } = attempt;
         self.counters.predicted += 1;
-        let error = ErrorEstimate::of_covariance(covariance);
-        let (map_from_base, pose_covariance) = attempt.predicted_base();
         if is_lost
             && attempt.awaits_odometry
             && let Some(start) = &mut self.last
             && !std::mem::replace(&mut start.passed_over, true)
         {
             // What comes says better how the robot has moved: the next scan starts from where this one did.
-            let twist = last.motion.expect(scan.stamp().seconds_since(last.stamp)).unseen().twist;
-            return Registration { refinement, ..self.passing(problem, map_from_base, &pose_covariance, (twist, error)) };
+            let twist = attempt.last.motion.expect(scan.stamp().seconds_since(attempt.last.stamp)).unseen().twist;
+            let error = ErrorEstimate::of_covariance(&attempt.prediction.covariance);
+            let (map_from_base, covariance) = attempt.predicted_base();
+            return Registration { refinement, ..self.passing(problem, map_from_base, &covariance, (twist, error)) };
         }
         let answer = Answer { is_lost, refinement, ..Answer::predicted(attempt, problem) };
-        self.conclude(scan, base_from_laser, answer, becomes_keyframe)
+        self.conclude(scan, &attempt.base_from_laser, answer, becomes_keyframe)
     }
 
     /// An answer for a scan that could not be used at all, taken at `stamp`.

@@ -84,6 +84,8 @@ pub fn diagonal(position: f64, heading: f64) -> PoseCovariance {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scan::BeamGeometry;
+    use crate::time::Stamp;
 
     #[test]
     fn what_a_way_adds_is_taken_back() {
@@ -92,8 +94,6 @@ mod tests {
         assert!((before_way(&end, way.translation()) - start).norm() < 1e-12);
         assert!((positive(&end) - end).norm() < 1e-12 && positive(&-end).norm() < 1e-12);
     }
-    use crate::scan::BeamGeometry;
-    use crate::time::Stamp;
 
     #[test]
     fn more_rays_into_the_same_angle_know_no_more() {
