@@ -147,8 +147,9 @@ impl Intake {
         let parameter = self.config.odometry.laser_in_base;
         if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter) {
             self.mount = mount;
-            if parameter.is_none() {
+            if parameter.is_none() && self.mount_source != MountSource::Transforms {
                 self.mount_source = MountSource::Transforms;
+                self.last_mount = None; // it was none
             }
         }
         self.note_mount_jump(laser_frame);

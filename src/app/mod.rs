@@ -289,7 +289,11 @@ impl App {
             self.odometry.set_pose(set.pose, set.held_at(stamp, arrival));
         }
         let task = self.intake.task(arrival);
+        let mount_known_before = self.intake.mount_source;
         let scan = read(&mut self.intake);
+        if self.intake.mount_source != mount_known_before {
+            self.odometry.forget_reference();
+        }
         let Intake { clock, costs, mount, .. } = &mut self.intake;
         let mut driver = Driver::new(task, &**clock, &*self.interrupt, costs);
         let registration = match scan {

@@ -29,7 +29,7 @@ const OVERLAP: f64 = 0.4;
 /// Way along which keyframes must fit, m ...
 const FOLLOW: f64 = 5.0;
 /// ... and how many of them.
-const FEWEST: usize = 6;
+pub(super) const FEWEST: usize = 6;
 /// How far odometry may lead astray on that way, m ...
 const ASTRAY: f64 = 0.4;
 /// ... and rad.

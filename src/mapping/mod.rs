@@ -270,7 +270,7 @@ impl Mapper {
         let mut has_joined = false;
         for run in self.runs() {
             let is_placed = self.placed();
-            if is_placed[run.start] {
+            if is_placed[run.start] || run.len() < joining::FEWEST {
                 continue;
             }
             let known: Vec<usize> = (0..is_placed.len()).filter(|&k| is_placed[k]).collect();
@@ -307,10 +307,10 @@ impl Mapper {
         components.iter().map(|first| Some(*first) == largest).collect()
     }
 
-    /// Runs whose place on the map is not known: they are not drawn.
+    /// Runs whose place on the map is not known: they are not drawn. Those that led nowhere do not count.
     pub fn unplaced_runs(&self) -> usize {
         let is_placed = self.placed();
-        self.runs().iter().filter(|run| !is_placed[run.start]).count()
+        self.runs().iter().filter(|run| !is_placed[run.start] && run.len() > 1).count()
     }
 
     /// Pose of the base at every scan, by what is known now.

@@ -260,8 +260,9 @@ impl LaserOdometry {
         self.sources.clear();
     }
 
-    /// The next scan is one that others are matched to.
-    fn forget_reference(&mut self) {
+    /// The next scan is one that others are matched to: as when those before were taken from another place on the base than was known. The
+    /// base goes on from where it was said to be.
+    pub fn forget_reference(&mut self) {
         self.unfinished = None;
         self.keyframe = None;
         self.map.clear();

@@ -104,6 +104,26 @@ fn the_lasers_place_on_the_robot_counts() {
 }
 
 #[test]
+fn scans_that_come_before_the_lasers_place_is_known_shift_nothing() {
+    let mount = Pose2::new(0.3, -0.1, 0.5);
+    let mut app = app(&["odometry.initial_pose=[1, 2, 0.5]"]);
+    let start = Pose2::new(1.0, 2.0, 0.5);
+    let mut transform =
+        TransformStamped { child_frame_id: "laser".into(), transform: mount.into(), ..TransformStamped::default() };
+    transform.header.frame_id = "base_link".into();
+    for i in 0..3 {
+        assert_near(answer(&mut app, &scan_at(f64::from(i) * 0.05, mount)).registration.odom_from_base, start, 0.002);
+    }
+    app.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
+    for i in 0..60 {
+        let seconds = f64::from(i) * 0.05;
+        let estimate = answer(&mut app, &scan_at(seconds + 0.15, way(seconds) * mount));
+        assert_near(estimate.registration.odom_from_base, start * way(seconds), 0.01);
+    }
+    assert_eq!(app.take_remarks(), [""; 0], "the laser has not moved");
+}
+
+#[test]
 fn a_laser_on_its_head_sees_the_same() {
     let mut app = app(&[]);
     let upside_down = Transform { rotation: Quaternion { x: 1.0, y: 0.0, z: 0.0, w: 0.0 }, ..Transform::default() };
