@@ -176,7 +176,7 @@ fn a_wheel_that_spins_is_survived() {
     };
     let error = error(&answers(&settings, &mut app(&[]), |_| true, spun));
     println!("after one step of odometry that is 60 degrees wrong: {error:.4} m");
-    assert!(error < 0.0023, "{error}");
+    assert!(error < 0.0029, "{error}");
 }
 
 #[test]

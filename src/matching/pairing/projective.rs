@@ -6,12 +6,17 @@
 //! is the error of the guess: all weigh alike, and the kernel is wide. As the scans come to lie on each other it falls to what
 //! surfaces are uneven, and grazing rays, which know best, count.
 //!
+//! A ray is judged by the direction, too, in which the rays beside it say that its surface runs: one that ends near a surface, but on another
+//! that meets it at an angle, as in the corner that a robot drives round, weighs less.
+//!
 //! What moves is where one view saw it, and not where the others did: a ray that lies on the surface in some of the views that have one
 //! for it, and not in the rest, weighs less.
 
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 use nalgebra::{Matrix2, Matrix3, Vector3};
 
+use self::chords::ChordFinder;
+use self::rays::{Block, Rays};
 use super::range_noise::RangeNoise;
 use super::verdict::Verdict;
 use super::{Agreement, Metric, Pairing, Pairs, PlacedView};
@@ -52,79 +57,35 @@ const FEIGNED: f64 = 4.0;
 /// Numbers of the rays that are handled at a time.
 type Lanes = [f32; LANES];
 
-/// Points of the sensed scan, in its own frame.
+/// The sensed scan.
 #[derive(Debug, Default)]
 struct Sensed {
-    /// All of them, m.
-    points: Points,
-    /// Those that take part, m.
-    chosen: Points,
+    /// All of its rays.
+    rays: Rays,
+    chord_finder: ChordFinder,
+    /// Those that take part.
+    chosen: Rays,
     /// One by the squared ranges of those, 1/m^2; 0 past the last ray.
     inverse_square: Vec<Lanes>,
     mean_range: f64,
 }
 
-/// Points by coordinate, and zeros past the last.
-#[derive(Debug, Default)]
-struct Points {
-    len: usize,
-    x: Vec<Lanes>,
-    y: Vec<Lanes>,
-}
-
-impl Points {
-    /// Takes over points, of which there are as many at most.
-    #[inline(always)]
-    fn set(&mut self, at_most: usize, points: impl Iterator<Item = [f32; 2]>) {
-        self.resize(at_most);
-        let (all_x, all_y) = (self.x.as_flattened_mut(), self.y.as_flattened_mut());
-        self.len = 0;
-        for ((x, y), point) in all_x.iter_mut().zip(&mut *all_y).zip(points) {
-            [*x, *y] = point;
-            self.len += 1;
-        }
-        all_x[self.len..].fill(0.0);
-        all_y[self.len..].fill(0.0);
-        self.resize(self.len);
-    }
-
-    fn resize(&mut self, len: usize) {
-        self.x.resize(len.div_ceil(LANES), [0.0; LANES]);
-        self.y.resize(len.div_ceil(LANES), [0.0; LANES]);
-    }
-
-    fn blocks(&self) -> impl Iterator<Item = (&Lanes, &Lanes)> {
-        self.x.iter().zip(&self.y)
-    }
-
-    fn iter(&self) -> impl Iterator<Item = [f32; 2]> {
-        let (x, y) = (self.x.as_flattened(), self.y.as_flattened());
-        x.iter().zip(y).map(|(&x, &y)| [x, y]).take(self.len)
-    }
-}
-
 impl Sensed {
+    /// `noise`: standard deviation of a range, m.
     #[allow(clippy::cast_possible_truncation)] // to single precision
-    fn set(&mut self, scan: &Scan) {
-        let points = scan.rays().map(|(_, direction, range)| [(direction.x * range) as f32, (direction.y * range) as f32]);
-        self.points.set(scan.valid_len(), points);
+    fn set(&mut self, level: Level, scan: &Scan, noise: f64) {
+        let ends = scan.rays().map(|(_, direction, range)| [(direction.x * range) as f32, (direction.y * range) as f32]);
+        self.rays.set_ends(scan.valid_len(), ends);
+        dispatch!(level, simd => self.chord_finder.find(simd, &mut self.rays, noise as f32));
     }
 
     #[inline(always)]
     fn choose<S: Simd>(&mut self, simd: S, order: RayOrder) {
-        let Points { len, x, y } = &self.points;
-        if order.is_all() {
-            self.chosen.len = *len;
-            self.chosen.x.clone_from(x);
-            self.chosen.y.clone_from(y);
-        } else {
-            let (x, y) = (x.as_flattened(), y.as_flattened());
-            self.chosen.set(*len, order.rays().map(|ray| [x[ray], y[ray]]));
-        }
+        self.chosen.choose(&self.rays, order);
         let len = self.chosen.len;
         self.inverse_square.resize(len.div_ceil(LANES), [0.0; LANES]);
         let mut ranges = f32x8::splat(simd, 0.0);
-        for ((x, y), inverse_square) in self.chosen.blocks().zip(&mut self.inverse_square) {
+        for (Block { point: [x, y], .. }, inverse_square) in self.chosen.blocks().zip(&mut self.inverse_square) {
             let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
             let square = x.mul_add(x, y * y);
             ranges += square.sqrt();
@@ -138,7 +99,7 @@ impl Sensed {
     #[inline(always)]
     fn score<S: Simd>(&self, simd: S, onto: &Onto) -> u32 {
         let mut agreeing = 0;
-        for ((x, y), inverse_square) in self.chosen.blocks().zip(&self.inverse_square) {
+        for (Block { point: [x, y], .. }, inverse_square) in self.chosen.blocks().zip(&self.inverse_square) {
             let moved = onto.pair(simd, x, y, &onto.beams(simd, x, y));
             let agrees = moved.error.abs().simd_lt(ROUGH_AGREEMENT) & moved.partners.is_some(simd);
             let is_ray = f32x8::from_slice(simd, inverse_square).simd_gt(0.0);
@@ -331,12 +292,12 @@ impl Projective {
         let zero = f32x8::splat(simd, 0.0);
         let mut sums = [zero; Sum::Count as usize];
         // Beforehand: as one loop, every step would wait for the one before, and a processor sees too little ahead to do others meanwhile.
-        for ((x, y), beams) in self.sensed.chosen.blocks().zip(&mut self.beams) {
+        for (Block { point: [x, y], .. }, beams) in self.sensed.chosen.blocks().zip(&mut self.beams) {
             *beams = onto.beams(simd, x, y);
         }
         let sensed = self.sensed.chosen.blocks().zip(&self.sensed.inverse_square);
         let judged = sensed.zip(&mut self.distances).zip(&mut self.verdicts).zip(&self.beams);
-        for (((((x, y), inverse_square), distances), verdict), beams) in judged {
+        for ((((Block { point: [x, y], chord }, inverse_square), distances), verdict), beams) in judged {
             let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, x, y, beams);
             let inverse_square = f32x8::from_slice(simd, inverse_square);
             // The lanes past the last ray have none.
@@ -346,7 +307,9 @@ impl Projective {
             let (squared, distance) = (error * error, error.abs());
             let variance = facing * facing * inverse_square + floor + partners.variance;
             let scale = variance * kernel_width;
-            let widened = scale + squared;
+            let chord = onto.turn(f32x8::from_slice(simd, chord[0]), f32x8::from_slice(simd, chord[1]));
+            let across = nx.mul_add(chord[0], ny * chord[1]);
+            let widened = across.mul_add(across, scale + squared);
             let one = found.select(f32x8::splat(simd, 1.0), zero);
             // Two divisions for the price of one.
             let per_both = one / (variance * widened);
@@ -460,7 +423,7 @@ impl Pairing for Projective {
     }
 
     fn sense(&mut self, scan: &Scan) {
-        self.sensed.set(scan);
+        self.sensed.set(self.level, scan, self.range_noise.deviation());
     }
 
     fn choose_rays(&mut self, order: RayOrder) {
@@ -563,7 +526,7 @@ impl Pairing for Projective {
             let view_from_sensed = placed.reference_from_view.between(pose).transform();
             let back = placed.reference_from_view.transform();
             let (bearings, surfaces) = (placed.view.bearings(), placed.view.surfaces());
-            for point in self.sensed.chosen.iter() {
+            for point in self.sensed.chosen.ends() {
                 let seen = view_from_sensed.apply(point.map(f64::from).into());
                 let surface = &surfaces[bearings.beam(&seen)];
                 let normal = Point::from(surface.normal().map(f64::from));
@@ -575,6 +538,9 @@ impl Pairing for Projective {
         }
     }
 }
+
+mod chords;
+mod rays;
 
 #[cfg(test)]
 mod specification;

@@ -27,10 +27,17 @@ struct Specified {
     is_ambiguous: bool,
 }
 
-/// The pairs of `points` with the views at a pose. `noise`: standard deviation of a range, m.
-fn specified(views: &[PlacedView], points: &[Point], pose: &Pose2, noise: f64, floor: f64, credits: &[f64]) -> Specified {
-    let mut all = Specified { distances: vec![f64::INFINITY; points.len()], ..Specified::default() };
-    for (i, &point) in points.iter().enumerate() {
+/// The pairs of points, each with its chord, with the views at a pose. `noise`: standard deviation of a range, m.
+fn specified(
+    views: &[PlacedView],
+    sensed: &[(Point, Point)],
+    pose: &Pose2,
+    noise: f64,
+    floor: f64,
+    credits: &[f64],
+) -> Specified {
+    let mut all = Specified { distances: vec![f64::INFINITY; sensed.len()], ..Specified::default() };
+    for (i, &(point, chord)) in sensed.iter().enumerate() {
         let (mut pairs, mut inliers) = (0.0, 0.0);
         for PlacedView { reference_from_view, view } in views {
             let view_from_sensed = reference_from_view.between(pose);
@@ -45,7 +52,8 @@ fn specified(views: &[PlacedView], points: &[Point], pose: &Pose2, noise: f64, f
             let variance = incidence.powi(2) + floor + f64::from(surface.variance());
             // Geman and McClure's kernel.
             let limit = variance * (KERNEL_SIGMAS * noise).powi(2);
-            let weight = (limit / (limit + error.powi(2))).powi(2) / variance * credits[i];
+            let across = normal.dot(&(turn(&view_from_sensed) * chord));
+            let weight = (limit / (limit + error.powi(2) + across.powi(2))).powi(2) / variance * credits[i];
             let is_inlier = f64::from(u8::from(error.powi(2) < limit));
             all.is_ambiguous |= (error.powi(2) / limit - 1.0).abs() < PRECISION;
             all.distances[i] = all.distances[i].min(error.abs());
@@ -67,7 +75,7 @@ fn specified(views: &[PlacedView], points: &[Point], pose: &Pose2, noise: f64, f
         let confirmed: f64 = if pairs > 0.0 { inliers / pairs } else { 1.0 };
         all.credits.push(if views.len() > 1 { confirmed.max(0.02).sqrt() } else { 1.0 });
     }
-    let views_per_ray = (all.totals.pairs / points.len() as f64).max(1.0);
+    let views_per_ray = (all.totals.pairs / sensed.len() as f64).max(1.0);
     all.form = all.form.scaled(1.0 / views_per_ray);
     all.totals.feigned /= views_per_ray;
     let most = if floor > MOST_FLOOR { (GENTLEST * floor).max(MOST_FLOOR) } else { floor };
@@ -185,10 +193,13 @@ proptest! {
         fast.begin(&poses[0].into());
         fast.sense(&scan);
         fast.choose_rays(RayOrder::first(rays, scan.valid_len()));
-        let points: Vec<Point> = fast.sensed.chosen.iter().map(|point| point.map(f64::from).into()).collect();
-        let mut credits = vec![1.0; points.len()];
+        let chosen = &fast.sensed.chosen;
+        let chords = chosen.chord_x.as_flattened().iter().zip(chosen.chord_y.as_flattened());
+        let in_double = |(point, chord): ([f32; 2], (&f32, &f32))| (point.map(f64::from).into(), Point::new((*chord.0).into(), (*chord.1).into()));
+        let rays: Vec<(Point, Point)> = chosen.ends().zip(chords).map(in_double).collect();
+        let mut credits = vec![1.0; rays.len()];
         for pose in &poses {
-            let plain = specified(&views, &points, pose, noise, fast.floor, &credits);
+            let plain = specified(&views, &rays, pose, noise, fast.floor, &credits);
             prop_assume!(!plain.is_ambiguous);
             prop_assert!(fast.pair(pose, Metric::PointToLine).is_some());
             assert_meets(&fast, &plain, pose)?;
