@@ -18,8 +18,9 @@ pub use mask::{Mask, ScanKnobs, Sector, Sectors};
 pub const MIN_BEAMS: usize = 10;
 /// Most beams a scan may have.
 pub const MAX_BEAMS: usize = 10_000;
-/// A shorter range cannot be told from none, m: five standard deviations of what lasers usually err by. A laser in a wall sees such.
-pub const SHORTEST_RANGE: f64 = 0.05;
+/// A shorter range says less of where something is than of its own noise, m: ten standard deviations of what lasers usually err by. A laser
+/// in a wall sees such. From 6 to 20 cm do alike.
+pub const SHORTEST_RANGE: f64 = 0.1;
 /// Least part of the rays that must carry a measurement.
 pub const MIN_VALID_FRACTION: f64 = 0.1;
 /// A sweep may exceed a full turn by a beam, which then looks where the first one does, and by this much, rad: the rounding of the

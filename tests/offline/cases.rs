@@ -2,6 +2,11 @@
 
 use std::process::Command;
 
+use anytime_scan_matcher::app::planar_pose;
+use anytime_scan_matcher::geometry::wrap_angle;
+use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::time::Stamp;
 use serde_json::Value;
 
 use crate::common::shared;
@@ -105,6 +110,33 @@ fn a_turn_that_the_odometry_does_not_know_is_not_believed() {
         ["1232662036.094", "1232662036.706"].map(|stamp| heading(poses.lines().find(|line| line.starts_with(stamp)).unwrap()));
     // The odometry turns by 0.1 degrees.
     assert!((after - before).abs().to_degrees() < 2.0, "{before} {after}");
+}
+
+/// A laser inside a wall sees nothing but its own noise; the odometry says how the robot turns.
+#[test]
+fn a_laser_in_a_wall_does_not_turn_the_robot() {
+    let Some(bag) = shared("cases/wall_contact.bag") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let tum = folder.path().join("x.tum");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_anytime"));
+    command.arg("replay").arg(&bag).arg("--tum").arg(&tum).args(["--set", "odometry.laser_in_base=[0.275,0,0]"]);
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let bag = Bag::open(&bag).unwrap();
+    let odometry: Vec<(f64, f64)> = bag
+        .messages(Some(&["/odom"]))
+        .map(|message| message.unwrap().decode::<Odometry>().unwrap())
+        .map(|message| {
+            (Stamp::from(message.header.stamp).seconds_since(Stamp::default()), planar_pose(&message.pose.pose).unwrap().theta)
+        })
+        .collect();
+    let poses = std::fs::read_to_string(&tum).unwrap();
+    for line in poses.lines() {
+        let stamp: f64 = line.split(' ').next().unwrap().parse().unwrap();
+        let latest = odometry.partition_point(|&(of, _)| of <= stamp).saturating_sub(1);
+        let turn = wrap_angle(heading(line) - (odometry[latest].1 - odometry[0].1));
+        assert!(turn.abs().to_degrees() < 2.0, "{line}: {} degrees from the odometry", turn.to_degrees());
+    }
 }
 
 /// Of a line of a TUM file, rad.

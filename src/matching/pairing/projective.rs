@@ -54,6 +54,10 @@ const ROUGH_AGREEMENT: f32 = 0.12;
 /// A direction in which the pairs know so many times what errors of the surfaces' directions feign is not seen at all.
 const FEIGNED: f64 = 4.0;
 
+/// A chord crosses a line that its end lies so many standard deviations of a range beside: 45 degrees where rays lie close, nowhere where
+/// they do not. 60 degrees do nearly as well.
+const CROSSING: f32 = 3.5;
+
 /// Numbers of the rays that are handled at a time.
 type Lanes = [f32; LANES];
 
@@ -62,7 +66,6 @@ type Lanes = [f32; LANES];
 struct Sensed {
     /// All of its rays.
     rays: Rays,
-    chord_finder: ChordFinder,
     /// Those that take part.
     chosen: Rays,
     /// One by the squared ranges of those, 1/m^2; 0 past the last ray.
@@ -71,14 +74,6 @@ struct Sensed {
 }
 
 impl Sensed {
-    /// `noise`: standard deviation of a range, m.
-    #[allow(clippy::cast_possible_truncation)] // to single precision
-    fn set(&mut self, level: Level, scan: &Scan, noise: f64) {
-        let ends = scan.rays().map(|(_, direction, range)| [(direction.x * range) as f32, (direction.y * range) as f32]);
-        self.rays.set_ends(scan.valid_len(), ends);
-        dispatch!(level, simd => self.chord_finder.find(simd, &mut self.rays, noise as f32));
-    }
-
     #[inline(always)]
     fn choose<S: Simd>(&mut self, simd: S, order: RayOrder) {
         self.chosen.choose(&self.rays, order);
@@ -237,6 +232,9 @@ pub(in crate::matching) struct Projective {
     /// What the processor can do.
     level: Level,
     fitter: LineFitter,
+    chord_finder: ChordFinder,
+    /// The rays of the last view.
+    viewed: Rays,
     views: Vec<PlacedView>,
     /// Views that take part at most.
     most_views: usize,
@@ -262,6 +260,8 @@ impl Projective {
             learns_noise: false,
             level: Level::new(),
             fitter: LineFitter::default(),
+            chord_finder: ChordFinder::default(),
+            viewed: Rays::default(),
             views: Vec::new(),
             most_views: usize::MAX,
             sensed: Sensed::default(),
@@ -273,6 +273,21 @@ impl Projective {
             beams: Vec::new(),
             form: QuadraticForm::default(),
             totals: Totals::default(),
+        }
+    }
+
+    /// Forgets lines that were fitted across an edge, as from a person's leg to the wall behind: the rays beside show a surface that runs
+    /// another way there.
+    #[allow(clippy::cast_possible_truncation)] // to single precision
+    fn forget_crossed(&mut self, scan: &Scan, surfaces: &mut [Surface]) {
+        let noise = self.range_noise.deviation();
+        self.chord_finder.find(self.level, scan, noise, &mut self.viewed);
+        let crossing = CROSSING * noise as f32;
+        for ((ray, ..), [x, y]) in scan.rays().zip(self.viewed.chords()) {
+            let [nx, ny] = surfaces[ray].normal();
+            if (nx * x + ny * y).abs() > crossing {
+                surfaces[ray] = Surface::NONE;
+            }
         }
     }
 
@@ -394,6 +409,7 @@ impl Pairing for Projective {
         let mut surfaces = Vec::with_capacity(scan.len() + 1);
         let noise = self.range_noise.deviation();
         self.fitter.fit(&scan, noise, &mut surfaces);
+        self.forget_crossed(&scan, &mut surfaces);
         if self.learns_noise
             && let Some(variance) = self.fitter.shown_variance(noise)
         {
@@ -423,7 +439,7 @@ impl Pairing for Projective {
     }
 
     fn sense(&mut self, scan: &Scan) {
-        self.sensed.set(self.level, scan, self.range_noise.deviation());
+        self.chord_finder.find(self.level, scan, self.range_noise.deviation(), &mut self.sensed.rays);
     }
 
     fn choose_rays(&mut self, order: RayOrder) {

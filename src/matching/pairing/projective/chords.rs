@@ -1,9 +1,10 @@
 //! Which way the surface runs that a ray ends on, as the rays beside it tell.
 
-use fearless_simd::{Simd, f32x8, prelude::*};
+use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 
 use super::rays::Rays;
 use crate::matching::surface::LANES;
+use crate::scan::Scan;
 
 /// Length of a chord, in standard deviations of a range: neighbours nearer than this tell of their own noise. From 3.5 to 7 all logs are
 /// matched alike; from 9 on, directions outweigh the little that long corridors show.
@@ -20,9 +21,17 @@ pub(super) struct ChordFinder {
 }
 
 impl ChordFinder {
-    /// The chords of all rays of a scan, which are in order. `noise`: standard deviation of a range, m.
+    /// The rays of a scan, each with its chord. `noise`: standard deviation of a range, m.
+    #[allow(clippy::cast_possible_truncation)] // to single precision
+    pub(super) fn find(&mut self, level: Level, scan: &Scan, noise: f64, rays: &mut Rays) {
+        let ends = scan.rays().map(|(_, direction, range)| [(direction.x * range) as f32, (direction.y * range) as f32]);
+        rays.set_ends(scan.valid_len(), ends);
+        dispatch!(level, simd => self.find_chords(simd, rays, noise as f32));
+    }
+
+    /// The chords of rays that are in order.
     #[inline(always)]
-    pub(super) fn find<S: Simd>(&mut self, simd: S, rays: &mut Rays, noise: f32) {
+    fn find_chords<S: Simd>(&mut self, simd: S, rays: &mut Rays, noise: f32) {
         self.pad(rays);
         let [x, y] = &self.padded;
         let length_square = (LENGTH * noise).powi(2);
@@ -107,8 +116,6 @@ fn across<S: Simd>(point: [f32x8<S>; 2], other: [f32x8<S>; 2]) -> f32x8<S> {
 
 #[cfg(test)]
 mod tests {
-    use fearless_simd::{Level, dispatch};
-
     use super::*;
     use crate::geometry::Point;
 
@@ -118,9 +125,8 @@ mod tests {
     fn chords(points: &[Point]) -> Vec<Point> {
         let mut rays = Rays::default();
         rays.set_ends(points.len(), points.iter().map(|point| [point.x as f32, point.y as f32]));
-        dispatch!(Level::new(), simd => ChordFinder::default().find(simd, &mut rays, NOISE));
-        let (x, y) = (rays.chord_x.as_flattened(), rays.chord_y.as_flattened());
-        x.iter().zip(y).map(|(&x, &y)| Point::new(x.into(), y.into())).take(points.len()).collect()
+        dispatch!(Level::new(), simd => ChordFinder::default().find_chords(simd, &mut rays, NOISE));
+        rays.chords().map(|chord| chord.map(f64::from).into()).collect()
     }
 
     /// A wall 2 m ahead from bearing -0.5 to 0, and one 4 m ahead from there to 0.5, by so many rays.

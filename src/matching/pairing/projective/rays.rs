@@ -22,7 +22,7 @@ pub(super) struct Block<'a> {
 }
 
 impl Rays {
-    /// Takes over where rays end, so many; their chords are yet to come.
+    /// Takes over where so many rays end; their chords are yet to come.
     pub(super) fn set_ends(&mut self, len: usize, ends: impl Iterator<Item = [f32; 2]>) {
         self.resize(len);
         let (all_x, all_y) = (self.x.as_flattened_mut(), self.y.as_flattened_mut());
@@ -80,7 +80,15 @@ impl Rays {
 
     /// Where they end.
     pub(super) fn ends(&self) -> impl Iterator<Item = [f32; 2]> {
-        let (x, y) = (self.x.as_flattened(), self.y.as_flattened());
-        x.iter().zip(y).map(|(&x, &y)| [x, y]).take(self.len)
+        self.each(&self.x, &self.y)
+    }
+
+    /// Their chords.
+    pub(super) fn chords(&self) -> impl Iterator<Item = [f32; 2]> {
+        self.each(&self.chord_x, &self.chord_y)
+    }
+
+    fn each<'a>(&self, x: &'a [Lanes], y: &'a [Lanes]) -> impl Iterator<Item = [f32; 2]> + use<'a> {
+        x.as_flattened().iter().zip(y.as_flattened()).map(|(&x, &y)| [x, y]).take(self.len)
     }
 }
