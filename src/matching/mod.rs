@@ -5,6 +5,7 @@
 //! best pose so far at every moment: that makes it an anytime algorithm. No clock is read here, nothing allocates once the buffers have
 //! grown to the size of the scans, nothing prints and nothing panics.
 
+mod chords;
 pub mod correspondence;
 mod covariance;
 mod line_fit;

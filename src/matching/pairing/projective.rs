@@ -15,8 +15,7 @@
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 use nalgebra::{Matrix2, Matrix3, Vector3};
 
-use self::chords::ChordFinder;
-use self::rays::{Block, Rays};
+use self::rays::{AllRays, Block, Rays};
 use super::range_noise::RangeNoise;
 use super::verdict::Verdict;
 use super::{Agreement, Metric, Pairing, Pairs, PlacedView};
@@ -54,19 +53,14 @@ const ROUGH_AGREEMENT: f32 = 0.12;
 /// A direction in which the pairs know so many times what errors of the surfaces' directions feign is not seen at all.
 const FEIGNED: f64 = 4.0;
 
-/// A chord crosses a line that its end lies so many standard deviations of a range beside: 45 degrees where rays lie close, nowhere where
-/// they do not. 60 degrees do nearly as well.
-const CROSSING: f32 = 3.5;
-
 /// Numbers of the rays that are handled at a time.
 type Lanes = [f32; LANES];
 
 /// The sensed scan.
 #[derive(Debug, Default)]
 struct Sensed {
-    /// All of its rays.
-    rays: Rays,
-    /// Those that take part.
+    all: AllRays,
+    /// The rays that take part.
     chosen: Rays,
     /// One by the squared ranges of those, 1/m^2; 0 past the last ray.
     inverse_square: Vec<Lanes>,
@@ -76,7 +70,7 @@ struct Sensed {
 impl Sensed {
     #[inline(always)]
     fn choose<S: Simd>(&mut self, simd: S, order: RayOrder) {
-        self.chosen.choose(&self.rays, order);
+        self.chosen.choose(&self.all.rays, order);
         let len = self.chosen.len;
         self.inverse_square.resize(len.div_ceil(LANES), [0.0; LANES]);
         let mut ranges = f32x8::splat(simd, 0.0);
@@ -232,9 +226,6 @@ pub(in crate::matching) struct Projective {
     /// What the processor can do.
     level: Level,
     fitter: LineFitter,
-    chord_finder: ChordFinder,
-    /// The rays of the last view.
-    viewed: Rays,
     views: Vec<PlacedView>,
     /// Views that take part at most.
     most_views: usize,
@@ -260,8 +251,6 @@ impl Projective {
             learns_noise: false,
             level: Level::new(),
             fitter: LineFitter::default(),
-            chord_finder: ChordFinder::default(),
-            viewed: Rays::default(),
             views: Vec::new(),
             most_views: usize::MAX,
             sensed: Sensed::default(),
@@ -273,21 +262,6 @@ impl Projective {
             beams: Vec::new(),
             form: QuadraticForm::default(),
             totals: Totals::default(),
-        }
-    }
-
-    /// Forgets lines that were fitted across an edge, as from a person's leg to the wall behind: the rays beside show a surface that runs
-    /// another way there.
-    #[allow(clippy::cast_possible_truncation)] // to single precision
-    fn forget_crossed(&mut self, scan: &Scan, surfaces: &mut [Surface]) {
-        let noise = self.range_noise.deviation();
-        self.chord_finder.find(self.level, scan, noise, &mut self.viewed);
-        let crossing = CROSSING * noise as f32;
-        for ((ray, ..), [x, y]) in scan.rays().zip(self.viewed.chords()) {
-            let [nx, ny] = surfaces[ray].normal();
-            if (nx * x + ny * y).abs() > crossing {
-                surfaces[ray] = Surface::NONE;
-            }
         }
     }
 
@@ -409,7 +383,6 @@ impl Pairing for Projective {
         let mut surfaces = Vec::with_capacity(scan.len() + 1);
         let noise = self.range_noise.deviation();
         self.fitter.fit(&scan, noise, &mut surfaces);
-        self.forget_crossed(&scan, &mut surfaces);
         if self.learns_noise
             && let Some(variance) = self.fitter.shown_variance(noise)
         {
@@ -439,7 +412,7 @@ impl Pairing for Projective {
     }
 
     fn sense(&mut self, scan: &Scan) {
-        self.chord_finder.find(self.level, scan, self.range_noise.deviation(), &mut self.sensed.rays);
+        self.sensed.all.set(self.level, scan, self.range_noise.deviation());
     }
 
     fn choose_rays(&mut self, order: RayOrder) {
@@ -555,7 +528,6 @@ impl Pairing for Projective {
     }
 }
 
-mod chords;
 mod rays;
 
 #[cfg(test)]

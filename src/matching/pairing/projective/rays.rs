@@ -1,8 +1,12 @@
 //! Rays of a scan by coordinate, eight at a time.
 
+use fearless_simd::{Level, Simd, dispatch, prelude::*};
+
 use super::Lanes;
+use crate::matching::chords::{FARTHEST, Neighbourhood};
 use crate::matching::ray_order::RayOrder;
 use crate::matching::surface::LANES;
+use crate::scan::Scan;
 
 /// Where rays end, and the chord of the surface there, in the scan's frame, m; zeros past the last.
 #[derive(Debug, Default)]
@@ -22,16 +26,6 @@ pub(super) struct Block<'a> {
 }
 
 impl Rays {
-    /// Takes over where so many rays end; their chords are yet to come.
-    pub(super) fn set_ends(&mut self, len: usize, ends: impl Iterator<Item = [f32; 2]>) {
-        self.resize(len);
-        let (all_x, all_y) = (self.x.as_flattened_mut(), self.y.as_flattened_mut());
-        for ((x, y), end) in all_x.iter_mut().zip(all_y).zip(ends) {
-            [*x, *y] = end;
-        }
-        self.clear_past_the_last();
-    }
-
     /// Takes over some of all rays.
     #[inline(always)]
     pub(super) fn choose(&mut self, all: &Self, order: RayOrder) {
@@ -80,15 +74,49 @@ impl Rays {
 
     /// Where they end.
     pub(super) fn ends(&self) -> impl Iterator<Item = [f32; 2]> {
-        self.each(&self.x, &self.y)
+        let (x, y) = (self.x.as_flattened(), self.y.as_flattened());
+        x.iter().zip(y).map(|(&x, &y)| [x, y]).take(self.len)
+    }
+}
+
+/// All rays of a scan; keeps the memory that it takes to find their chords.
+#[derive(Debug, Default)]
+pub(super) struct AllRays {
+    pub(super) rays: Rays,
+    /// Where they end, by coordinate, between as many that end nowhere to either side as neighbours are looked for.
+    padded: [Vec<f32>; 2],
+}
+
+impl AllRays {
+    /// Takes over a scan. `noise`: standard deviation of a range, m.
+    #[allow(clippy::cast_possible_truncation)] // to single precision
+    pub(super) fn set(&mut self, level: Level, scan: &Scan, noise: f64) {
+        self.rays.resize(scan.valid_len());
+        let [x, y] = &mut self.padded;
+        for padded in [&mut *x, &mut *y] {
+            padded.clear();
+            padded.resize(2 * FARTHEST + self.rays.x.len() * LANES, f32::NAN);
+        }
+        let ends = x[FARTHEST..].iter_mut().zip(&mut y[FARTHEST..]);
+        for ((x, y), (_, direction, range)) in ends.zip(scan.rays()) {
+            (*x, *y) = ((direction.x * range) as f32, (direction.y * range) as f32);
+        }
+        dispatch!(level, simd => self.find_chords(simd, (noise * noise) as f32));
+        self.rays.clear_past_the_last();
     }
 
-    /// Their chords.
-    pub(super) fn chords(&self) -> impl Iterator<Item = [f32; 2]> {
-        self.each(&self.chord_x, &self.chord_y)
-    }
-
-    fn each<'a>(&self, x: &'a [Lanes], y: &'a [Lanes]) -> impl Iterator<Item = [f32; 2]> + use<'a> {
-        x.as_flattened().iter().zip(y.as_flattened()).map(|(&x, &y)| [x, y]).take(self.len)
+    #[inline(always)]
+    fn find_chords<S: Simd>(&mut self, simd: S, noise: f32) {
+        let [x, y] = &self.padded;
+        let Rays { x: own_x, y: own_y, chord_x, chord_y, .. } = &mut self.rays;
+        let ends = own_x.iter_mut().zip(own_y);
+        for (block, ((own_x, own_y), (chord_x, chord_y))) in ends.zip(chord_x.iter_mut().zip(chord_y)).enumerate() {
+            let first = FARTHEST + block * LANES;
+            own_x.copy_from_slice(&x[first..first + LANES]);
+            own_y.copy_from_slice(&y[first..first + LANES]);
+            let [x, y] = Neighbourhood { simd, x, y, first, noise }.chords();
+            x.store_slice(chord_x);
+            y.store_slice(chord_y);
+        }
     }
 }

@@ -194,8 +194,9 @@ proptest! {
         fast.sense(&scan);
         fast.choose_rays(RayOrder::first(rays, scan.valid_len()));
         let chosen = &fast.sensed.chosen;
+        let chords = chosen.chord_x.as_flattened().iter().zip(chosen.chord_y.as_flattened()).map(|(&x, &y)| [x, y]);
         let in_double = |of: [f32; 2]| Point::from(of.map(f64::from));
-        let rays: Vec<(Point, Point)> = chosen.ends().zip(chosen.chords()).map(|(end, chord)| (in_double(end), in_double(chord))).collect();
+        let rays: Vec<(Point, Point)> = chosen.ends().zip(chords).map(|(end, chord)| (in_double(end), in_double(chord))).collect();
         let mut credits = vec![1.0; rays.len()];
         for pose in &poses {
             let plain = specified(&views, &rays, pose, noise, fast.floor, &credits);
