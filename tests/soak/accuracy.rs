@@ -62,7 +62,7 @@ const REACHED: [Limits; 15] = [
     limits(RoughRoom, 1080, (1.25, 9.5), Some((2.0, 3.2)), (0, 58)),
     limits(RoughRoom, 361, (2.40, 21.8), Some((2.0, 3.0)), (0, 60)),
     limits(RoughRoom, 181, (4.02, 39.1), Some((2.0, 3.4)), (0, 54)),
-    limits(Corridor, 1080, (2.24, 5.5), Some((2.0, 2.7)), (9, 49)),
+    limits(Corridor, 1080, (2.24, 5.5), Some((2.0, 2.7)), (8, 49)),
     limits(Corridor, 361, (4.38, 8.5), Some((2.0, 2.7)), (19, 58)),
     limits(Corridor, 181, (6.56, 14.9), Some((2.0, 2.7)), (42, 74)),
     limits(FeaturelessCorridor, 1080, (0.35, 1.6), None, (0, 0)),
