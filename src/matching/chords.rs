@@ -7,14 +7,11 @@ use super::surface::LANES;
 /// Length of a chord, in standard deviations of a range: neighbours nearer than this tell of their own noise. From 3.5 to 7 all logs are
 /// matched alike; from 9 on, directions outweigh the little that long corridors show.
 const LENGTH: f32 = 5.0;
-/// A chord crosses a line that its end lies so many standard deviations of a range beside: at 45 degrees where rays lie close, nowhere where
-/// they do not. At 60 degrees all logs are matched alike.
-const CROSSING: f32 = 3.5;
 /// Neighbours are looked for 1, 2, 4 and so on rays away, up to so many.
 pub(super) const FARTHEST: usize = 32;
 
-/// The end points of all rays of a scan, in order, and a block of them. To either side there are [`FARTHEST`] more: none (NaN), or the first
-/// and the last again.
+/// The end points of all rays of a scan, in order, and a block of them. To either side there are [`FARTHEST`] more that are
+/// none (NaN).
 #[derive(Clone, Copy)]
 pub(super) struct Neighbourhood<'a, S: Simd> {
     pub(super) simd: S,
@@ -106,11 +103,6 @@ fn across<S: Simd>(point: [f32x8<S>; 2], other: [f32x8<S>; 2]) -> f32x8<S> {
     let cross = point[0] * other[1] - point[1] * other[0];
     let square = cross * cross / (point[0] * point[0] + point[1] * point[1]);
     square.simd_gt(0.0).select(square, f32x8::splat(point[0].token(), f32::INFINITY))
-}
-
-/// Square of how far the end of a chord may lie beside a line, m^2, that it does not cross. `noise`: variance of a range, m^2.
-pub(super) fn crossing_square(noise: f32) -> f32 {
-    CROSSING * CROSSING * noise
 }
 
 #[cfg(test)]

@@ -6,13 +6,9 @@
 //! Sums over any stretch are differences of running sums. Of the stretches around a ray that one is taken which makes the line
 //! surest: over a longer one the noise averages out, while what is no line shows as an excess of the residuals over the noise and
 //! does not. A ray near a corner, where its own stretch is short, belongs to a longer one of its neighbours.
-//!
-//! A line that the ray's chord crosses was fitted across an edge, as from a person's leg to the wall behind: it lies along the ray, so that
-//! whatever is near the ray would seem to be on it.
 
 use fearless_simd::{Level, dispatch, f32x8, f64x4, prelude::*};
 
-use super::chords::{self, Neighbourhood, crossing_square};
 use super::surface::{LANES, Surface, Surfaces};
 use crate::quantile::quantile;
 use crate::scan::Scan;
@@ -41,8 +37,6 @@ const FEWEST_ANSWERS: usize = 64;
 
 /// Rays that are handled at a time in double precision.
 const HALF: usize = LANES / 2;
-// The neighbours that chords are found by lie within the padding, too.
-const _: () = assert!(chords::FARTHEST <= LONGEST);
 /// By how much padded numbers are more than the rays.
 const PADDING: usize = 2 * LONGEST + LANES + 1;
 /// The numbers of all rays near [`LANES`] of them.
@@ -325,7 +319,6 @@ struct Block<S: Simd> {
     index: f32x8<S>,
     direction: [f32x8<S>; 2],
     point: [f32x8<S>; 2],
-    chord: [f32x8<S>; 2],
     /// Variance of a range, m^2.
     noise: f32,
 }
@@ -338,7 +331,7 @@ impl<S: Simd> Block<S> {
         let fields = [at(0), at(1), at(2), at(3), at(4), at(5), at(6)];
         let Stretch { middle, per_ray, normal, offset, observed, turn } = Stretch::from_array(fields);
         let along = |vector: &[f32x8<S>; 2]| normal[0].mul_add(vector[0], normal[1] * vector[1]);
-        let (incidence, error, across) = (along(&self.direction), along(&self.point) - offset, along(&self.chord));
+        let (incidence, error) = (along(&self.direction), along(&self.point) - offset);
         let squared_incidence = incidence * incidence;
         let from_middle = (self.index - middle) * per_ray;
         let squared_from_middle = from_middle * from_middle;
@@ -347,8 +340,7 @@ impl<S: Simd> Block<S> {
         let place = (squared_from_middle * 3.0 + 1.0).mul_add(spread * per_ray * 0.5, spread - 1.0);
         let variance = squared_incidence.mul_add(place, turn);
         let limit = spread * squared_incidence * (FARTHEST * FARTHEST * self.noise);
-        let is_along = (across * across).simd_le(crossing_square(self.noise));
-        let is_on = squared_from_middle.simd_lt(1.0) & (error * error).simd_le(limit) & is_along;
+        let is_on = squared_from_middle.simd_lt(1.0) & (error * error).simd_le(limit);
         let variance = is_on.select(variance, f32x8::splat(simd, f32::INFINITY));
         Surfaces { normal, offset, variance, turn_variance: turn }
     }
@@ -445,12 +437,10 @@ impl LineFitter {
         let Rays { beams, directions, points, .. } = &self.rays;
         for (block, beams) in beams.chunks(LANES).enumerate() {
             let first = block * LANES;
-            let around = Neighbourhood { simd, x: &points[0].0, y: &points[1].0, first: LONGEST + first, noise };
             let rays = Block {
                 index: indices(simd, first),
                 direction: [here(simd, directions[0].window(first)), here(simd, directions[1].window(first))],
                 point: [here(simd, points[0].window(first)), here(simd, points[1].window(first))],
-                chord: around.chords(),
                 noise,
             };
             let field = |field: usize| self.stretches[field].window(first);

@@ -207,25 +207,3 @@ proptest! {
         }
     }
 }
-
-/// A wall 4 m ahead, and 6 cm wide posts before it, 2 m ahead.
-#[test]
-fn no_line_runs_from_a_post_to_the_wall_behind() {
-    let beams = BeamGeometry::new(-0.5, 0.005, 201);
-    for noise_seed in 0..20_u32 {
-        let range = |i: usize| {
-            let angle = beams.angle(i);
-            let off = 0.01 * f64::sin(12.9898 * i as f64 + 78.233 * f64::from(noise_seed));
-            let is_post = (2.0 * angle.tan() / 0.3 + 100.5).fract() < 0.2;
-            off + if is_post { 2.0 } else { 4.0 } / angle.cos()
-        };
-        let ranges: Vec<f64> = (0..beams.len()).map(range).collect();
-        let scan = Scan::new(Stamp::default(), beams.clone().into(), (0.1, 30.0), ranges).unwrap();
-        let view = Projective::new(0.01).view(scan);
-        // The first and the last beams have neighbours to one side only.
-        let lines: Vec<f32> =
-            view.surfaces()[10..190].iter().filter(|surface| !surface.is_none()).map(|line| line.normal()[0]).collect();
-        let across: Vec<&f32> = lines.iter().filter(|normal| normal.abs() < 0.6).collect();
-        assert!(lines.len() > 120 && across.is_empty(), "{} lines, across: {across:?}", lines.len());
-    }
-}
