@@ -106,6 +106,8 @@ pub struct Localizer {
     initial_pose: Option<InitialPose<(Pose2, PoseCovariance)>>,
     /// Stamp of the scan used last, and where the robot was then.
     last: Option<(Stamp, Pose2)>,
+    /// Stamp of the scan before, where that was before the one of the scan used last.
+    late: Option<Stamp>,
     twist: Twist2,
     without_odometry: u64,
     deadline_misses: u64,
@@ -121,6 +123,7 @@ impl Localizer {
             sources: MotionSources::default(),
             initial_pose: None,
             last: None,
+            late: None,
             twist: Twist2::default(),
             without_odometry: 0,
             deadline_misses: 0,
@@ -212,13 +215,29 @@ impl Localizer {
         stamp: Stamp,
         read: impl FnOnce(&mut Intake) -> Result<Scan, Unusable>,
     ) -> Result<Observation, NoEvidence> {
-        let since_last = self.last.map(|(last, _)| stamp.seconds_since(last));
-        if since_last.is_some_and(|seconds| (-NEW_RUN..=0.0).contains(&seconds)) {
+        if !self.is_new(stamp) {
             return Err(NoEvidence::NotNewer);
         }
         let scan = read(&mut self.intake)?;
-        self.last.take_if(|_| since_last.is_some_and(|seconds| seconds < 0.0));
+        self.last.take_if(|(last, _)| stamp < *last);
         Ok(Observation::new(&scan, self.intake.config.sensor.beams as usize))
+    }
+
+    /// Whether a scan of this stamp is not one of the last one's time or before. Two in order that are somewhat before it are of another
+    /// time: somebody has set the clock, and the robot drives on, about as long before the first of them as the second is after it.
+    fn is_new(&mut self, stamp: Stamp) -> bool {
+        let late = self.late.take();
+        let Some((last, _)) = &mut self.last else { return true };
+        let seconds = stamp.seconds_since(*last);
+        if !(-NEW_RUN..=0.0).contains(&seconds) {
+            return true;
+        }
+        let first = late.filter(|late| stamp > *late);
+        match first {
+            Some(first) => *last = first.offset_by(first.seconds_since(stamp)),
+            None => self.late = Some(stamp).filter(|_| seconds < 0.0),
+        }
+        first.is_some()
     }
 
     fn take_in(

@@ -129,10 +129,14 @@ impl Summary {
         &self.claims
     }
 
-    /// Why the answers are worth nothing, if they are: no scan was well-formed.
+    /// Why the answers are worth nothing, if they are: every scan was malformed, or of a laser on edge.
     pub fn hollow(&self) -> Option<String> {
-        let (count, first) = self.failures.get(FailureReason::MalformedScan.name())?;
-        (*count == self.poses.len()).then(|| self.in_words(FailureReason::MalformedScan.name(), *count, first))
+        let unusable = [FailureReason::MalformedScan, FailureReason::TiltedMount].map(FailureReason::name);
+        let found = || unusable.iter().filter_map(|reason| self.failures.get_key_value(*reason));
+        let count: usize = found().map(|(_, (count, _))| count).sum();
+        let reasons =
+            || found().map(|(reason, (count, first))| self.in_words(reason, *count, first)).collect::<Vec<_>>().join("; ");
+        (count > 0 && count == self.poses.len()).then(reasons)
     }
 
     fn in_words(&self, reason: &str, count: usize, first: &str) -> String {

@@ -113,6 +113,9 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     check_files(arguments)?;
     // Drives share the cores, a core each.
     config.localization.threads = 1;
+    if !Path::new(&arguments.world).exists() {
+        return Err(usage(format!("--world: there is no map {}", arguments.world)));
+    }
     let course = Course::load(&arguments.world, arguments.path.as_deref())?;
     let loads =
         arguments.slowdown.iter().flat_map(|&slowdown| arguments.bursts.iter().map(move |&bursts| Load { slowdown, bursts }));

@@ -39,6 +39,6 @@ fn a_map_of_another_place_is_told_and_the_exit_code_is_1() {
     // What there is of figures is in the file all the same.
     let mut rows = csv::Reader::from_path(&csv).unwrap();
     let column = rows.headers().unwrap().iter().position(|name| name == "localized").unwrap();
-    let localized: Vec<bool> = rows.records().map(|row| &row.unwrap()[column] == "1").collect();
+    let localized: Vec<bool> = rows.records().map(|row| &row.unwrap()[column] == "true").collect();
     assert!(localized.len() == 400 && localized.iter().filter(|&&localized| localized).count() < 20);
 }

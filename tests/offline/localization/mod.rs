@@ -1,5 +1,6 @@
 //! The particle filter on simulated drives through real maps.
 
+mod clock;
 mod command;
 mod contract;
 mod lag;

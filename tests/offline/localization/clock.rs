@@ -1,0 +1,68 @@
+//! A clock that somebody sets while the robot drives.
+
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anytime_scan_matcher::anytime::clock::VirtualClock;
+use anytime_scan_matcher::app::Answering as _;
+use anytime_scan_matcher::app::localizer::Localizer;
+use anytime_scan_matcher::config::Config;
+use anytime_scan_matcher::geometry::Pose2;
+use anytime_scan_matcher::knobs::Seconds;
+use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
+use anytime_scan_matcher::simulation::scene::Scene;
+use anytime_scan_matcher::time::Stamp;
+
+use super::{at_truth, take};
+use crate::common::corridor;
+
+/// The greatest error of the position in the last half of the time after the clock was set by `step` seconds, m, and scans that were no
+/// evidence.
+fn driven_on(step: f64) -> (f64, usize) {
+    let mut settings = Settings::default();
+    settings.drive.duration = Seconds(16.0);
+    settings.lidar.rate = 20.0;
+    let mut config = Config::default();
+    config.localization.particles = 1000;
+    let mut localizer = Localizer::new(corridor(), &config, Arc::new(VirtualClock::new(Duration::ZERO))).unwrap();
+    let (mut truth, mut begin, mut worst, mut passed_over) = (Pose2::IDENTITY, None, 0.0_f64, 0);
+    simulate::<Infallible>(&settings, &Scene::in_map(corridor(), 4).unwrap(), |time, message| {
+        let seconds = time.seconds_since(*begin.get_or_insert(time));
+        let is_set = seconds > 8.0;
+        let set = |stamp: Stamp| if is_set { stamp.offset_by(step) } else { stamp };
+        match message {
+            SimulatedMessage::Mount(mount) => localizer.on_transforms(&mount).unwrap(),
+            SimulatedMessage::Odometry(mut odometry) => {
+                odometry.header.stamp = set(odometry.header.stamp.into()).into();
+                localizer.on_odometry(&odometry).unwrap();
+            }
+            SimulatedMessage::Truth { map_from_base, .. } => {
+                if truth == Pose2::IDENTITY {
+                    at_truth(&mut localizer, map_from_base);
+                }
+                truth = map_from_base;
+            }
+            SimulatedMessage::Scan(mut scan) => {
+                scan.header.stamp = set(scan.header.stamp.into()).into();
+                match take(&mut localizer, &scan) {
+                    Ok(_) if seconds < 12.0 => {}
+                    Ok(belief) => worst = worst.max(belief.map_from_base.between(&truth).distance()),
+                    Err(_) => passed_over += 1,
+                }
+            }
+        }
+        Ok(())
+    })
+    .unwrap();
+    (worst, passed_over)
+}
+
+#[test]
+fn a_clock_that_is_set_back_in_mid_drive_leads_nowhere_else() {
+    for step in [-0.6, -0.9, -1.5, -100.0] {
+        let (worst, passed_over) = driven_on(step);
+        eprintln!("clock set by {step} s: {worst:.3} m at most, {passed_over} scans passed over");
+        assert!(worst < 0.05 && passed_over <= 1, "{step} s: {worst} m, {passed_over} scans passed over");
+    }
+}
