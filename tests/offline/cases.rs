@@ -115,6 +115,20 @@ fn a_turn_that_the_odometry_does_not_know_is_not_believed() {
     assert!((after - before).abs().to_degrees() < 2.0, "{before} {after}");
 }
 
+/// A real laser that stands still for 37 s.
+#[test]
+fn a_laser_at_rest_stays_where_it_is() {
+    let Some(bag) = shared("cases/lidarme.bag") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let tum = folder.path().join("x.tum");
+    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("replay").arg(bag).arg("--tum").arg(&tum).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    for line in std::fs::read_to_string(&tum).unwrap().lines() {
+        let numbers: Vec<f64> = line.split_whitespace().map(|number| number.parse().unwrap()).collect();
+        assert!(numbers[1].hypot(numbers[2]) < 0.07, "{line}");
+    }
+}
+
 /// A laser inside a wall sees nothing but its own noise; the odometry says how the robot turns.
 #[test]
 fn a_laser_in_a_wall_does_not_turn_the_robot() {
