@@ -104,8 +104,10 @@ pub struct Localizer {
     sources: MotionSources,
     /// A pose that was set and its covariance, until the first scan after it.
     initial_pose: Option<InitialPose<(Pose2, PoseCovariance)>>,
-    /// Stamp of the scan used last, and where the robot was then.
-    last: Option<(Stamp, Pose2)>,
+    /// Stamp of the scan used last; before the first one, of the first that was of no use: the robot's motion counts from there.
+    last: Option<Stamp>,
+    /// Where the robot was at the scan used last.
+    believed: Option<Pose2>,
     /// Stamp of the scan before, where that was before the one of the scan used last.
     late: Option<Stamp>,
     twist: Twist2,
@@ -123,6 +125,7 @@ impl Localizer {
             sources: MotionSources::default(),
             initial_pose: None,
             last: None,
+            believed: None,
             late: None,
             twist: Twist2::default(),
             without_odometry: 0,
@@ -161,7 +164,7 @@ impl Localizer {
     /// Another map of the same place: the robot is where it was.
     pub fn replace_map(&mut self, map: OccupancyGrid) -> Result<(), LocalizerError> {
         self.filter = filter_on(map, &self.intake.config)?;
-        if let Some((_, map_from_base)) = self.last {
+        if let Some(map_from_base) = self.believed {
             self.filter.start_at(&map_from_base, None);
         }
         Ok(())
@@ -218,8 +221,10 @@ impl Localizer {
         if !self.is_new(stamp) {
             return Err(NoEvidence::NotNewer);
         }
-        let scan = read(&mut self.intake)?;
-        self.last.take_if(|(last, _)| stamp < *last);
+        let scan = read(&mut self.intake).inspect_err(|_| {
+            self.last.get_or_insert(stamp);
+        })?;
+        self.last.take_if(|last| stamp < *last);
         Ok(Observation::new(&scan, self.intake.config.sensor.beams as usize))
     }
 
@@ -227,7 +232,7 @@ impl Localizer {
     /// time: somebody has set the clock, and the robot drives on, about as long before the first of them as the second is after it.
     fn is_new(&mut self, stamp: Stamp) -> bool {
         let late = self.late.take();
-        let Some((last, _)) = &mut self.last else { return true };
+        let Some(last) = &mut self.last else { return true };
         let seconds = stamp.seconds_since(*last);
         if !(-NEW_RUN..=0.0).contains(&seconds) {
             return true;
@@ -247,7 +252,7 @@ impl Localizer {
         interrupt: &dyn Interrupt,
     ) -> (Belief, StopReason, Option<Duration>) {
         let stamp = observation.stamp;
-        let motion = self.last.map(|(last, _)| (self.motion(last, stamp), stamp.seconds_since(last)));
+        let motion = self.last.map(|last| (self.motion(last, stamp), stamp.seconds_since(last)));
         let Intake { clock, costs, mount, .. } = &mut self.intake;
         let mut driver = Driver::new(task, &**clock, interrupt, costs);
         self.filter.plan(observation.len(), &driver);
@@ -256,7 +261,7 @@ impl Localizer {
             self.filter.predict(&motion, seconds);
         }
         let (belief, stop_reason) = self.filter.update(observation, &mount.base_from_laser, &mut driver);
-        self.last = Some((stamp, belief.map_from_base));
+        (self.last, self.believed) = (Some(stamp), Some(belief.map_from_base));
         if belief.is_localized() {
             self.sources.learn_lag(stamp, belief.map_from_base);
         }
@@ -273,8 +278,7 @@ impl Localizer {
 
     /// The pose of the last answer, carried on by odometry to another time; `None` where there is no answer, or no odometry.
     pub fn carried_to(&self, stamp: Stamp) -> Option<Pose2> {
-        let (last, map_from_base) = self.last?;
-        Some(map_from_base * self.sources.motion(last, stamp)?)
+        Some(self.believed? * self.sources.motion(self.last?, stamp)?)
     }
 
     /// Where odometry says that the robot is at a time, in its own frame and by its own clock: as its transforms have it.

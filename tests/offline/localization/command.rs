@@ -15,14 +15,26 @@ fn localize(bag: &Path, map: &Path, more: &[&str]) -> Output {
     command.output().unwrap()
 }
 
-#[test]
-fn rays_that_saw_nothing_are_no_walls() {
-    let Some(bag) = shared("cases/k1_nothing_seen_is_range_max.bag") else { return };
+/// What is said of a case in the shipped corridor.
+fn in_the_corridor(case: &str) -> Option<Value> {
+    let bag = shared(&format!("cases/{case}.bag"))?;
     let truth = bag.with_file_name("truth").join("b270.tum");
     let output = localize(&bag, Path::new("maps/corridor.yaml"), &["--json", "--truth", truth.to_str().unwrap()]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+    Some(serde_json::from_slice(&output.stdout).unwrap())
+}
+
+#[test]
+fn rays_that_saw_nothing_are_no_walls() {
+    let Some(summary) = in_the_corridor("k1_nothing_seen_is_range_max") else { return };
     assert!(summary["localized"] == 200 && summary["position_rmse_m"].as_f64().unwrap() <= 0.1, "{summary}");
+}
+
+/// Four seconds without a usable ray, in which the robot drives 7 m.
+#[test]
+fn before_the_first_usable_scan_the_robot_moves_by_odometry() {
+    let Some(summary) = in_the_corridor("k10_blind_start") else { return };
+    assert!(summary["position_rmse_m"].as_f64().unwrap() <= 0.1, "{summary}");
 }
 
 #[test]
