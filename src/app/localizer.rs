@@ -228,8 +228,8 @@ impl Localizer {
         Ok(Observation::new(&scan, self.intake.config.sensor.beams as usize))
     }
 
-    /// Whether a scan of this stamp is not one of the last one's time or before. Two in order that are somewhat before it are of another
-    /// time: somebody has set the clock, and the robot drives on, about as long before the first of them as the second is after it.
+    /// Whether a scan of this stamp comes after the last one, or in a new run. Where two in order come somewhat before it, somebody has set
+    /// the clock, and the robot drives on: it was where it was about as long before the first of them as the second is after it.
     fn is_new(&mut self, stamp: Stamp) -> bool {
         let late = self.late.take();
         let Some(last) = &mut self.last else { return true };

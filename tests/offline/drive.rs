@@ -124,4 +124,7 @@ fn what_makes_no_sense_is_refused_with_a_remedy() {
         assert_eq!(output.status.code(), Some(code), "{arguments:?}: {text}");
         assert!(text.contains(words), "{arguments:?}: {text}");
     }
+    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(["drive", "--world", "nowhere"]).output().unwrap();
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && text.contains("there is no map of that name"), "{text}");
 }

@@ -14,6 +14,7 @@ use anytime_scan_matcher::drive::flaws::FlawKnobs;
 use anytime_scan_matcher::drive::processor::Load;
 use anytime_scan_matcher::drive::study::{Late, Study, to_text};
 use anytime_scan_matcher::knobs::{KnobGroup as _, KnobValue, Seconds, Value};
+use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::lidar::LidarKnobs;
 use anytime_scan_matcher::simulation::odometer::OdometerKnobs;
 use clap::Args;
@@ -113,8 +114,10 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     check_files(arguments)?;
     // Drives share the cores, a core each.
     config.localization.threads = 1;
-    if !Path::new(&arguments.world).exists() {
-        return Err(usage(format!("--world: there is no map {}", arguments.world)));
+    if let Err(expected) = BuiltIn::from_value(&arguments.world.as_str().into())
+        && !Path::new(&arguments.world).exists()
+    {
+        return Err(usage(format!("--world: {expected}, and there is no map of that name")));
     }
     let course = Course::load(&arguments.world, arguments.path.as_deref())?;
     let loads =
