@@ -24,6 +24,14 @@ fn replay(case: &str, truth: &str, more: &[&str]) -> Option<Value> {
     Some(serde_json::from_slice(&output.stdout).unwrap())
 }
 
+/// The poses of a case, as a TUM file has them; `None` where it is not there.
+fn poses(case: &str, more: &[&str]) -> Option<String> {
+    let folder = tempfile::tempdir().unwrap();
+    let tum = folder.path().join("x.tum");
+    replay(case, "", &[&["--tum", tum.to_str().unwrap()], more].concat())?;
+    Some(std::fs::read_to_string(tum).unwrap())
+}
+
 /// All scans but the first are matched, within so many metres of the truth; among the notes is this text.
 fn right(case: &str, truth: &str, more: &[&str], most: f64, note: &str) {
     let Some(summary) = replay(case, truth, more) else { return };
@@ -103,12 +111,7 @@ fn a_laser_on_edge_is_named() {
 /// A match 24 standard deviations from what odometry says, along a wall that leaves the heading open, is outweighed by the odometry.
 #[test]
 fn a_turn_that_the_odometry_does_not_know_is_not_believed() {
-    let Some(bag) = shared("cases/flip_after_lost.bag") else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let tum = folder.path().join("x.tum");
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("replay").arg(bag).arg("--tum").arg(&tum).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let poses = std::fs::read_to_string(&tum).unwrap();
+    let Some(poses) = poses("flip_after_lost", &[]) else { return };
     let [before, after] =
         ["1232662036.094", "1232662036.706"].map(|stamp| heading(poses.lines().find(|line| line.starts_with(stamp)).unwrap()));
     // The odometry turns by 0.1 degrees.
@@ -118,12 +121,8 @@ fn a_turn_that_the_odometry_does_not_know_is_not_believed() {
 /// A real laser that stands still for 37 s.
 #[test]
 fn a_laser_at_rest_stays_where_it_is() {
-    let Some(bag) = shared("cases/lidarme.bag") else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let tum = folder.path().join("x.tum");
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("replay").arg(bag).arg("--tum").arg(&tum).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    for line in std::fs::read_to_string(&tum).unwrap().lines() {
+    let Some(poses) = poses("lidarme", &[]) else { return };
+    for line in poses.lines() {
         let numbers: Vec<f64> = line.split_whitespace().map(|number| number.parse().unwrap()).collect();
         assert!(numbers[1].hypot(numbers[2]) < 0.07, "{line}");
     }
@@ -133,12 +132,7 @@ fn a_laser_at_rest_stays_where_it_is() {
 #[test]
 fn a_laser_in_a_wall_does_not_turn_the_robot() {
     let Some(bag) = shared("cases/wall_contact.bag") else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let tum = folder.path().join("x.tum");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_anytime"));
-    command.arg("replay").arg(&bag).arg("--tum").arg(&tum).args(["--set", "odometry.laser_in_base=[0.275,0,0]"]);
-    let output = command.output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let Some(poses) = poses("wall_contact", &["--set", "odometry.laser_in_base=[0.275,0,0]"]) else { return };
     let bag = Bag::open(&bag).unwrap();
     let odometry: Vec<(f64, f64)> = bag
         .messages(Some(&["/odom"]))
@@ -147,7 +141,6 @@ fn a_laser_in_a_wall_does_not_turn_the_robot() {
             (Stamp::from(message.header.stamp).seconds_since(Stamp::default()), planar_pose(&message.pose.pose).unwrap().theta)
         })
         .collect();
-    let poses = std::fs::read_to_string(&tum).unwrap();
     for line in poses.lines() {
         let stamp: f64 = line.split(' ').next().unwrap().parse().unwrap();
         let latest = odometry.partition_point(|&(of, _)| of <= stamp).saturating_sub(1);
