@@ -354,7 +354,7 @@ mod tests {
         }
         assert_eq!(by_yaml, by_assignment);
         assert_eq!(by_yaml.matching.solver, SolverKind::Linearized);
-        assert_eq!(by_yaml.odometry.laser_in_base, Some(Pose2::new(0.275, 0.0, 0.0)));
+        assert_eq!(by_yaml.odometry.laser_in_base, Some(Pose2::new(0.275, 0.0, 0.0).into()));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 mod mask;
 
 use std::collections::HashSet;
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_PI_2, TAU};
 use std::mem::Discriminant;
 use std::sync::Arc;
 
@@ -11,6 +11,7 @@ use thiserror::Error;
 
 use crate::geometry::{Point, Twist2};
 use crate::messages::sensor_msgs::LaserScan;
+use crate::quantile::quantile;
 use crate::time::Stamp;
 pub use mask::{Mask, ScanKnobs, Sector, Sectors};
 
@@ -23,6 +24,14 @@ pub const MAX_BEAMS: usize = 10_000;
 pub const SHORTEST_RANGE: f64 = 0.1;
 /// Least part of the rays that must carry a measurement.
 pub const MIN_VALID_FRACTION: f64 = 0.1;
+/// Rays over less than this angle may all read much the same: they face a wall, rad.
+const WIDE: f64 = FRAC_PI_2;
+/// A reading is much the same as another within this part of it ...
+const SAME_PART: f64 = 0.1;
+/// ... and this, m: what short ranges err by.
+const SAME_RANGE: f64 = 0.02;
+/// So many of the rays read the same where the surface that they meet goes along with the laser.
+const ALL_ROUND: f64 = 0.95;
 /// A sweep may exceed a full turn by a beam, which then looks where the first one does, and by this much, rad: the rounding of the
 /// message's 32-bit angles.
 const FULL_TURN_TOLERANCE: f64 = 1e-4;
@@ -125,6 +134,14 @@ pub enum ScanError {
         valid: usize,
         /// All rays.
         beams: usize,
+    },
+    /// What is seen is the same in every direction.
+    #[error(
+        "the rays read about {range:.2} m in whatever direction: such a surface goes along with the laser and says nothing of a motion (is the laser covered?)"
+    )]
+    SameAllRound {
+        /// What most of them read, m.
+        range: f64,
     },
 }
 
@@ -243,6 +260,18 @@ impl Scan {
             return Err(ScanError::TooFewValid { valid, beams: ranges.len() });
         }
         Ok(Self { stamp, beams, ranges, valid, nothing_seen, reach: range_max, time_increment: 0.0 })
+    }
+
+    /// Refuses a scan whose rays all read the same, though they look far to either side: no room has the laser in the middle of its every
+    /// wall.
+    pub fn of_surroundings(self) -> Result<Self, ScanError> {
+        if self.valid as f64 * self.beams.angle_increment.abs() < WIDE {
+            return Ok(self);
+        }
+        let mut readings: Vec<f64> = self.ranges.iter().copied().filter(|range| !range.is_nan()).collect();
+        let Some(median) = quantile(&mut readings, 0.5, f64::total_cmp) else { return Ok(self) };
+        let same = readings.iter().filter(|&range| (range - median).abs() < SAME_PART * median + SAME_RANGE).count();
+        if same as f64 >= ALL_ROUND * self.valid as f64 { Err(ScanError::SameAllRound { range: median }) } else { Ok(self) }
     }
 
     /// The same scan without the readings that a mask lets go.
@@ -517,5 +546,26 @@ mod tests {
         let undistorted = scan.undistorted(&twist, 0.0, scan.sweep_duration());
         assert!(off(&scan) > 0.05 && off(&undistorted) < 1e-9);
         assert!((scan.sweep_duration() - 0.02).abs() < 1e-12 && undistorted.sweep_duration() == 0.0);
+    }
+
+    /// A laser with a beam for each degree, over so many degrees, that reads `range` in the direction `angle` (rad).
+    fn seen(degrees: usize, range: impl Fn(f64) -> f64) -> Result<Scan, ScanError> {
+        let beams = BeamGeometry::new(-(degrees as f64 / 2.0).to_radians(), 1_f64.to_radians(), degrees);
+        let ranges: Vec<f64> = (0..degrees).map(|i| range(beams.angle(i))).collect();
+        Scan::new(Stamp::default(), beams.into(), (0.05, 30.0), ranges)?.of_surroundings()
+    }
+
+    #[test]
+    fn a_surface_that_goes_along_with_the_laser_says_nothing() {
+        for (range, noise) in [(0.12, 0.01), (0.5, 0.05), (2.0, 0.01)] {
+            // What passes for noise here: the digits of a sine.
+            let noisy = |angle: f64| range + noise * (1e4 * angle).sin();
+            let same = |seen| matches!(seen, Err(ScanError::SameAllRound { range: said }) if (said - range).abs() < noise);
+            assert!(same(seen(270, noisy)), "{range} m");
+            assert!(same(seen(360, |angle| if angle.abs() < 0.1 { 5.0 } else { noisy(angle) })), "{range} m, and a gap");
+        }
+        assert!(seen(60, |angle| 2.0 / angle.cos()).is_ok(), "a wall before a laser with a narrow view");
+        assert!(seen(90, |angle| 0.5 / angle.cos()).is_ok(), "a wall at hand");
+        assert!(seen(360, |angle| 1.0 / angle.cos().abs().max(angle.sin().abs())).is_ok(), "in the middle of a square");
     }
 }

@@ -1,11 +1,12 @@
-//! Message stamps: absolute times in whole nanoseconds, as ROS carries them.
+//! Message stamps: absolute times in whole nanoseconds, as ROS carries them, and how they go on from scan to scan.
+
+mod continuity;
 
 use std::fmt;
 
-const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
+pub use continuity::{Continuity, Step};
 
-/// Stamps that go back farther than this start a new run (a bag played in a loop); less is a message out of order, s.
-pub const NEW_RUN: f64 = 1.0;
+const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
 
 /// The absolute time of a measurement, in nanoseconds since the epoch of its clock (wall, simulation or bag).
 ///

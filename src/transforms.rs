@@ -4,9 +4,11 @@ use std::collections::HashMap;
 use std::f64::consts::PI;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use serde_json::Value;
 use thiserror::Error;
 
 use crate::geometry::Pose2;
+use crate::knobs::KnobValue;
 use crate::messages::geometry_msgs;
 use crate::messages::tf2_msgs::TFMessage;
 
@@ -27,6 +29,22 @@ pub struct Mount {
 }
 
 impl Mount {
+    /// Of a laser at this place on the base.
+    fn of(base_from_laser: &Isometry3<f64>) -> Self {
+        let forward = base_from_laser.rotation * Vector3::x();
+        let up = base_from_laser.rotation * Vector3::z();
+        let place = base_from_laser.translation.vector;
+        let heading = forward.y.atan2(forward.x);
+        let base_from_level =
+            Isometry3::from_parts(Translation3::new(place.x, place.y, 0.0), UnitQuaternion::from_euler_angles(0.0, 0.0, heading));
+        Self {
+            base_from_laser: Pose2::new(place.x, place.y, heading),
+            upside_down: up.z < 0.0,
+            tilt: up.z.abs().min(1.0).acos(),
+            level_from_laser: base_from_level.inverse() * base_from_laser,
+        }
+    }
+
     /// Refuses a laser whose sweep does not go along the floor.
     pub fn check_level(&self, base: &str, laser: &str) -> Result<(), TiltedMount> {
         if self.tilt > MOST_TILT {
@@ -36,11 +54,56 @@ impl Mount {
     }
 }
 
+/// The place of a laser on the robot, as a parameter.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LaserPlace {
+    /// Place and heading of the laser's x axis in the base frame.
+    pub base_from_laser: Pose2,
+    /// Its turn about that axis, rad: pi is on its head. `None`: as the transforms say.
+    pub roll: Option<f64>,
+}
+
+impl LaserPlace {
+    /// Of a laser at this height, m, the right way up where nothing else is said.
+    pub fn mount(&self, height: f64) -> Mount {
+        let Pose2 { x, y, theta } = self.base_from_laser;
+        let rotation = UnitQuaternion::from_euler_angles(self.roll.unwrap_or(0.0), 0.0, theta);
+        Mount::of(&Isometry3::from_parts(Translation3::new(x, y, height), rotation))
+    }
+}
+
+impl From<Pose2> for LaserPlace {
+    fn from(base_from_laser: Pose2) -> Self {
+        Self { base_from_laser, roll: None }
+    }
+}
+
+impl KnobValue for LaserPlace {
+    fn from_value(value: &Value) -> Result<Self, String> {
+        let numbers: Option<Vec<f64>> =
+            value.as_array().and_then(|items| items.iter().map(|item| item.as_f64().filter(|v| v.is_finite())).collect());
+        match numbers.as_deref() {
+            Some(&[x, y, yaw]) => Ok(Pose2::new(x, y, yaw).into()),
+            Some(&[x, y, yaw, roll]) => Ok(Self { roll: Some(roll), ..Pose2::new(x, y, yaw).into() }),
+            _ => Err(format!("expected {}, got {value}", Self::kind())),
+        }
+    }
+
+    fn to_value(&self) -> Value {
+        let Pose2 { x, y, theta } = self.base_from_laser;
+        [x, y, theta].into_iter().chain(self.roll).collect()
+    }
+
+    fn kind() -> String {
+        "[x, y, yaw] or [x, y, yaw, roll]".into()
+    }
+}
+
 /// A laser that does not look along the floor.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error(
-    "by tf the sweep of '{laser}' is tilted by {:.0} degrees against '{base}': scans match in the plane only up to {:.0} (mend the \
-     transform from '{base}' to '{laser}', or level the laser)",
+    "the sweep of '{laser}' is tilted by {:.0} degrees against '{base}': scans match in the plane only up to {:.0} (mend the \
+     transform from '{base}' to '{laser}' or the roll in odometry.laser_in_base, or level the laser)",
     .tilt.to_degrees(), MOST_TILT.to_degrees()
 )]
 pub struct TiltedMount {
@@ -103,25 +166,19 @@ impl TransformTree {
         if base_root != laser_root {
             return None;
         }
-        let base_from_laser = root_from_base.inverse() * root_from_laser;
-        let forward = base_from_laser.rotation * Vector3::x();
-        let up = base_from_laser.rotation * Vector3::z();
-        let place = base_from_laser.translation.vector;
-        let heading = forward.y.atan2(forward.x);
-        let base_from_level =
-            Isometry3::from_parts(Translation3::new(place.x, place.y, 0.0), UnitQuaternion::from_euler_angles(0.0, 0.0, heading));
-        Some(Mount {
-            base_from_laser: Pose2::new(place.x, place.y, heading),
-            upside_down: up.z < 0.0,
-            tilt: up.z.abs().min(1.0).acos(),
-            level_from_laser: base_from_level.inverse() * base_from_laser,
-        })
+        Some(Mount::of(&(root_from_base.inverse() * root_from_laser)))
     }
 
-    /// The place of a laser. `place`, where it is given, says where, and the transforms which side is up, and how high it is.
-    pub fn laser_mount(&self, base: &str, laser: &str, place: Option<Pose2>) -> Option<Mount> {
-        let mount = self.mount(base, laser)?;
-        Some(Mount { base_from_laser: place.unwrap_or(mount.base_from_laser), ..mount })
+    /// The place of a laser: where the parameter says, else the transforms. They say how high it is, and which side is up where the
+    /// parameter does not.
+    pub fn laser_mount(&self, base: &str, laser: &str, parameter: Option<LaserPlace>) -> Option<Mount> {
+        let by_transforms = self.mount(base, laser);
+        let Some(place) = parameter else { return by_transforms };
+        Some(match by_transforms {
+            Some(mount) if place.roll.is_none() => Mount { base_from_laser: place.base_from_laser, ..mount },
+            Some(mount) => place.mount(mount.level_from_laser.translation.z),
+            None => place.mount(0.0),
+        })
     }
 
     /// The place of `inner` in the frame `outer`, when they are connected without any of the frames that either is `moving` in.

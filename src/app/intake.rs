@@ -66,7 +66,7 @@ impl Intake {
             costs: CostModel::new(config.contract.confidence),
             contract: Contract::try_from(&config.contract)?,
             transforms: TransformTree::default(),
-            mount: Mount { base_from_laser: parameter.unwrap_or_default(), ..Mount::default() },
+            mount: parameter.map_or_else(Mount::default, |place| place.mount(0.0)),
             mount_source: if parameter.is_some() { MountSource::Parameter } else { MountSource::Assumed },
             converter: ScanConverter::new(&config.scan),
             last_mount: None,
@@ -93,13 +93,14 @@ impl Intake {
         self.mount.check_level(&self.config.frames.base_frame, &message.header.frame_id)?;
         let scan = self.converter.convert(message, self.mount.upside_down);
         self.remarks.extend(self.converter.take_oddities().iter().map(ToString::to_string));
-        Ok(scan?)
+        Ok(scan?.of_surroundings()?)
     }
 
     /// The same of a point cloud.
     pub(super) fn cloud(&mut self, message: &PointCloud2) -> Result<Scan, Unusable> {
         self.update_mount(&message.header.frame_id);
-        Ok(cloud::scan(message, &self.config.cloud, &self.mount.level_from_laser)?.masked(self.converter.mask())?)
+        let scan = cloud::scan(message, &self.config.cloud, &self.mount.level_from_laser)?;
+        Ok(scan.masked(self.converter.mask())?.of_surroundings()?)
     }
 
     /// The scan of a message that has been read before.

@@ -26,8 +26,9 @@ use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::sources::MotionSources;
+use crate::odometry::wheel::WheelEvent;
 use crate::scan::Scan;
-use crate::time::{NEW_RUN, Stamp};
+use crate::time::{Continuity, Stamp, Step};
 use crate::transforms::{Mount, TransformTree, frame_name};
 
 /// The last velocity predicts no longer than this, s.
@@ -108,8 +109,7 @@ pub struct Localizer {
     last: Option<Stamp>,
     /// Where the robot was at the scan used last.
     believed: Option<Pose2>,
-    /// Stamp of the scan before, where that was before the one of the scan used last.
-    late: Option<Stamp>,
+    stamps: Continuity,
     twist: Twist2,
     without_odometry: u64,
     deadline_misses: u64,
@@ -126,7 +126,7 @@ impl Localizer {
             initial_pose: None,
             last: None,
             believed: None,
-            late: None,
+            stamps: Continuity::default(),
             twist: Twist2::default(),
             without_odometry: 0,
             deadline_misses: 0,
@@ -224,25 +224,20 @@ impl Localizer {
         let scan = read(&mut self.intake).inspect_err(|_| {
             self.last.get_or_insert(stamp);
         })?;
-        self.last.take_if(|last| stamp < *last);
         Ok(Observation::new(&scan, self.intake.config.sensor.beams as usize))
     }
 
-    /// Whether a scan of this stamp comes after the last one, or in a new run. Where two in order come somewhat before it, somebody has set
-    /// the clock, and the robot drives on: it was where it was about as long before the first of them as the second is after it.
+    /// Whether a scan of this stamp comes after the last one, be it that the clock was set meanwhile. In a new run the robot is where it
+    /// was; how it came there is not known.
     fn is_new(&mut self, stamp: Stamp) -> bool {
-        let late = self.late.take();
-        let Some(last) = &mut self.last else { return true };
-        let seconds = stamp.seconds_since(*last);
-        if !(-NEW_RUN..=0.0).contains(&seconds) {
-            return true;
+        let Some(last) = self.last else { return true };
+        match self.stamps.step(stamp, last, self.sources.last_wheel_stamp()) {
+            Step::Forward => {}
+            Step::SetBack { last } => self.last = Some(last),
+            Step::NewRun => self.last = None,
+            Step::Same | Step::Late => return false,
         }
-        let first = late.filter(|late| stamp > *late);
-        match first {
-            Some(first) => *last = first.offset_by(first.seconds_since(stamp)),
-            None => self.late = Some(stamp).filter(|_| seconds < 0.0),
-        }
-        first.is_some()
+        true
     }
 
     fn take_in(
@@ -427,7 +422,9 @@ impl Answering for Localizer {
     }
 
     fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
-        self.sources.push(self.intake.wheel_sample(message)?);
+        if let WheelEvent::TimeJump { goes_on } = self.sources.push(self.intake.wheel_sample(message)?) {
+            self.stamps.odometry_went_back(goes_on);
+        }
         Ok(())
     }
 

@@ -6,7 +6,6 @@
 
 mod answer;
 mod attempt;
-mod clock_step;
 mod drift;
 pub mod heading;
 mod lag;
@@ -34,10 +33,10 @@ use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
 use crate::scan::Scan;
-use crate::time::{NEW_RUN, Stamp};
+use crate::time::{Continuity, Stamp, Step};
+use crate::transforms::LaserPlace;
 use answer::{Answer, Found, problem};
 use attempt::{Attempt, Last};
-use clock_step::ClockStep;
 use heading::HeadingReading;
 use local_map::{LocalMap, Unrecognised};
 use loop_closure::{LoopCloser, Recognition, Sighting};
@@ -95,8 +94,9 @@ crate::knobs! {
         keyframe_distance: f64 = 0.4, in 0 to 100, unit "m";
         /// A new keyframe after this turn.
         keyframe_angle: f64 = 0.35, in 0 to 4, unit "rad";
-        /// Pose of the laser in the base frame, `[x, y, yaw]`; unset: from `/tf` or `/tf_static`, else the identity, with a warning.
-        laser_in_base: Option<Pose2> = None, unit "m, m, rad";
+        /// Pose of the laser in the base frame, `[x, y, yaw]`; with a fourth number, its roll, which is 3.1416 for a laser on its head and
+        /// else what tf says; unset: from `/tf` or `/tf_static`, else the identity, with a warning.
+        laser_in_base: Option<LaserPlace> = None, unit "m, m, rad";
         /// Whether to put rays that were taken one after the other where they belong.
         deskew: bool = true;
         /// Time from the first ray of a scan to the last, where the driver's `time_increment` does not say; unset: as it says. Less than
@@ -150,7 +150,7 @@ pub struct LaserOdometry {
     matcher: Matcher,
     sources: MotionSources,
     noise: LearnedNoise,
-    clock_step: ClockStep,
+    stamps: Continuity,
     /// A scan was answered before the odometry had come for it: it may have died, none is waited for until it is back.
     waited_in_vain: bool,
     map: LocalMap,
@@ -187,7 +187,7 @@ impl LaserOdometry {
             matcher: Matcher::new(matching, rejection).learning_noise(),
             sources: MotionSources::default(),
             noise: LearnedNoise::default(),
-            clock_step: ClockStep::default(),
+            stamps: Continuity::default(),
             waited_in_vain: false,
             map: LocalMap::default(),
             map_from_odom: Pose2::IDENTITY,
@@ -246,7 +246,7 @@ impl LaserOdometry {
         self.forget_reference();
         self.usual_agreement = 1.0;
         self.noise = LearnedNoise::default();
-        self.clock_step = ClockStep::default();
+        self.stamps = Continuity::default();
         self.last = None;
         self.map_from_odom = Pose2::IDENTITY;
         self.drift_covariance = PoseCovariance::zeros();
@@ -276,7 +276,7 @@ impl LaserOdometry {
         self.waited_in_vain = false;
         match self.sources.push(sample) {
             WheelEvent::Appended => {}
-            WheelEvent::TimeJump { goes_on } => self.clock_step.drives_on = goes_on,
+            WheelEvent::TimeJump { goes_on } => self.stamps.odometry_went_back(goes_on),
             WheelEvent::Duplicate => self.counters.duplicate_odometry += 1,
             WheelEvent::Reset => self.counters.odometry_resets += 1,
         }
@@ -566,48 +566,34 @@ impl LaserOdometry {
     /// Scans that are not later than the last one are answered without a match.
     fn answer_by_stamp(&mut self, stamp: Stamp) -> Option<Registration> {
         let last = self.last?;
-        let seconds = stamp.seconds_since(last.stamp);
-        if seconds > 0.0 {
-            self.clock_step.late = None;
-            return None;
-        }
-        if seconds < -NEW_RUN && !self.clock_step.drives_on && !self.odometry_may_go_on(stamp) {
-            self.counters.time_jumps += 1;
-            self.restart_at(self.knobs.initial_pose);
-            return None;
-        }
-        if let Some(late) = self.clock_step.begun_by(stamp) {
-            self.set_clock_back(late, stamp);
-            return None;
-        }
-        let problem = if seconds == 0.0 {
-            self.counters.duplicate_scans += 1;
-            Failure::new(FailureReason::DuplicateStamp, "its stamp is that of the scan before: the same answer again")
-        } else {
-            self.counters.out_of_order_scans += 1;
-            self.clock_step.late = Some(stamp);
-            let text = format!("its stamp is {:.3} s before that of the last scan: out of order", -seconds);
-            Failure::new(FailureReason::OutOfOrder, text)
+        let problem = match self.stamps.step(stamp, last.stamp, self.sources.last_wheel_stamp()) {
+            Step::Forward => return None,
+            Step::NewRun => {
+                self.counters.time_jumps += 1;
+                self.restart_at(self.knobs.initial_pose);
+                return None;
+            }
+            Step::SetBack { last: stamp } => {
+                self.counters.clock_steps += 1;
+                self.last = Some(Last { stamp, ..last });
+                return None;
+            }
+            Step::Same => {
+                self.counters.duplicate_scans += 1;
+                Failure::new(FailureReason::DuplicateStamp, "its stamp is that of the scan before: the same answer again")
+            }
+            Step::Late => {
+                self.counters.out_of_order_scans += 1;
+                let seconds = last.stamp.seconds_since(stamp);
+                Failure::new(
+                    FailureReason::OutOfOrder,
+                    format!("its stamp is {seconds:.3} s before that of the last scan: out of order"),
+                )
+            }
         };
         self.counters.predicted += 1;
         let answer = self.registration(Outcome::Predicted(problem), last.map_from_base, &last.covariance);
         Some(Registration { twist: last.motion.twist, ..answer })
-    }
-
-    /// Whether this is the first scan of an earlier time, and odometry has yet to say where the robot is at that time.
-    fn odometry_may_go_on(&self, stamp: Stamp) -> bool {
-        let last_heard = self.sources.last_wheel_stamp();
-        self.clock_step.late.is_none() && last_heard.is_some_and(|last| stamp.seconds_since(last) < -NEW_RUN)
-    }
-
-    /// Stamps go on in order from an earlier time: somebody has set the clock. The robot drives on from where it was, about as long
-    /// before the first scan of the new time as the second one, `stamp`, is after it.
-    fn set_clock_back(&mut self, first: Stamp, stamp: Stamp) {
-        self.counters.clock_steps += 1;
-        self.clock_step = ClockStep::default();
-        if let Some(last) = &mut self.last {
-            last.stamp = first.offset_by(first.seconds_since(stamp));
-        }
     }
 
     /// An answer of which no more is known than this, in terms of the map.

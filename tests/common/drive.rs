@@ -120,7 +120,7 @@ pub fn simulate(path: &Path, seconds: f64) -> usize {
 /// The poses that the application gives for a bag, message by message.
 pub fn offline(path: &Path) -> HashMap<Stamp, Pose2> {
     let mut config = Config::default();
-    config.odometry.laser_in_base = Some(LASER_IN_BASE);
+    config.odometry.laser_in_base = Some(LASER_IN_BASE.into());
     let mut app = App::new(&config, Arc::new(MonotonicClock::default())).unwrap();
     let mut poses = HashMap::new();
     for message in Bag::open(path).unwrap().messages(Some(&["/scan", "/odom"])) {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::common::{Laser, room_range};
+use crate::common::{Laser, drive, room_range};
 use anytime_scan_matcher::anytime::clock::VirtualClock;
 use anytime_scan_matcher::app::{Answering as _, App, Estimate, InputError, MountSource};
 use anytime_scan_matcher::config::Config;
@@ -123,21 +123,46 @@ fn scans_that_come_before_the_lasers_place_is_known_shift_nothing() {
     assert_eq!(app.take_remarks(), [""; 0], "the laser has not moved");
 }
 
-#[test]
-fn a_laser_on_its_head_sees_the_same() {
-    let mut app = app(&[]);
+/// A laser whose roll tf says by a half turn about x, if at all.
+fn with_laser_on_its_head(parameter: &[&str], by_tf: bool) -> App {
+    let mut app = app(parameter);
     let upside_down = Transform { rotation: Quaternion { x: 1.0, y: 0.0, z: 0.0, w: 0.0 }, ..Transform::default() };
     let mut transform =
         TransformStamped { child_frame_id: "laser".into(), transform: upside_down, ..TransformStamped::default() };
     transform.header.frame_id = "base_link".into();
-    app.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
-    for i in 0..20 {
-        let seconds = f64::from(i) * 0.05;
-        let mut message = scan_at(seconds, way(seconds));
-        message.ranges.reverse();
-        assert_near(answer(&mut app, &message).registration.odom_from_base, way(seconds), 0.01);
+    if by_tf {
+        app.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
     }
-    assert!(app.mount().0.upside_down);
+    app
+}
+
+#[test]
+fn a_laser_on_its_head_sees_the_same() {
+    let by_parameter = ["odometry.laser_in_base=[0, 0, 0, 3.1416]"];
+    let place_alone = ["odometry.laser_in_base=[0, 0, 0]"];
+    let ways: [(&[&str], bool); 4] = [(&[], true), (&place_alone, true), (&by_parameter, false), (&by_parameter, true)];
+    for (parameter, by_tf) in ways {
+        let mut app = with_laser_on_its_head(parameter, by_tf);
+        for i in 0..20 {
+            let seconds = f64::from(i) * 0.05;
+            let mut message = scan_at(seconds, way(seconds));
+            message.ranges.reverse();
+            assert_near(answer(&mut app, &message).registration.odom_from_base, way(seconds), 0.01);
+        }
+        assert!(app.mount().0.upside_down, "{parameter:?}, tf: {by_tf}");
+    }
+    assert!(!{
+        let mut upright = with_laser_on_its_head(&["odometry.laser_in_base=[0, 0, 0, 0]"], true);
+        answer(&mut upright, &scan_at(0.0, way(0.0)));
+        upright.mount().0.upside_down
+    });
+}
+
+#[test]
+fn a_laser_on_edge_by_its_parameter_is_named() {
+    let mut app = app(&["odometry.laser_in_base=[0, 0, 0, 1.57]"]);
+    let estimate = answer(&mut app, &scan_at(0.0, way(0.0)));
+    assert!(reason(&estimate).contains("the roll in odometry.laser_in_base"), "{}", reason(&estimate));
 }
 
 #[test]
@@ -334,6 +359,40 @@ fn stamps_may_repeat_go_back_and_leave_gaps() {
     let counters = app.odometry_counters();
     assert_eq!((counters.duplicate_scans, counters.out_of_order_scans, counters.time_jumps), (1, 1, 1));
     assert_eq!(app.counters().scans, 10);
+}
+
+/// How far the last pose is from the truth when the clock is set by `step` seconds in mid-drive, m.
+fn off_after_step(step: f64, with_odometry: bool) -> f64 {
+    let mut app = app(&["odometry.laser_in_base=[0.1, 0, 0]"]);
+    let set = |seconds: f64| if seconds > 3.0 { drive::at(seconds + step) } else { drive::at(seconds) };
+    let mut off = f64::INFINITY;
+    for number in 0..240 {
+        let seconds = f64::from(number) * drive::PERIOD;
+        if with_odometry {
+            let mut odometry = drive::odometry(seconds);
+            odometry.header.stamp = set(seconds).into();
+            app.on_odometry(&odometry).unwrap();
+        }
+        let mut scan = drive::scan(number, seconds, Laser::with_field_of_view(270.0, 361));
+        scan.header.stamp = set(seconds).into();
+        off = answer(&mut app, &scan).registration.odom_from_base.between(&drive::base_pose(seconds)).distance();
+    }
+    assert_eq!(app.odometry_counters().time_jumps, 0, "set by {step} s");
+    off
+}
+
+#[test]
+fn a_clock_that_is_set_leaves_the_robot_where_it_is() {
+    for step in [-0.05, -0.6, -0.9, -1.5, -2.0, 0.6, 0.9, 1.5, 100.0] {
+        for with_odometry in [true, false] {
+            let off = off_after_step(step, with_odometry);
+            assert!(off < 0.01, "set by {step} s, odometry: {with_odometry}: {off} m");
+        }
+    }
+    for step in [-60.0, -1e6] {
+        let off = off_after_step(step, true);
+        assert!(off < 0.01, "set to before the beginning, by {step} s: {off} m");
+    }
 }
 
 #[test]

@@ -63,7 +63,7 @@ impl Try {
         let settled = moved_at.max(told_at) + 2.0 * LATENCY;
 
         let mut config = Config::default();
-        config.odometry.laser_in_base = Some(lidar_knobs.laser_in_base);
+        config.odometry.laser_in_base = Some(lidar_knobs.laser_in_base.into());
         config.odometry.initial_pose = car.map_from_base();
         let mut app = App::new(&config, Arc::new(VirtualClock::new(Duration::from_micros(1)))).unwrap();
         let mut message = PoseWithCovarianceStamped::default();

@@ -88,17 +88,12 @@ impl Intake {
     pub(super) fn on_scan(&mut self, message: &LaserScan) -> Result<(), String> {
         let (base, laser) = (&self.knobs.base_frame, &message.header.frame_id);
         let mount = self.transforms.laser_mount(base, laser, self.knobs.laser_in_base);
-        mount.map_or(Ok(()), |mount| mount.check_level(base, laser)).map_err(|error| error.to_string())?;
-        let place = self.knobs.laser_in_base.or(mount.map(|mount| mount.base_from_laser));
-        let base_from_laser = place.ok_or_else(|| {
-            format!(
-                "where '{}' is on '{}' is not known from /tf: no emergency brake (or set laser_in_base)",
-                message.header.frame_id, self.knobs.base_frame
-            )
+        let mount = mount.ok_or_else(|| {
+            format!("where '{laser}' is on '{base}' is not known from /tf: no emergency brake (or set laser_in_base)")
         })?;
-        let scan =
-            self.converter.convert(message, mount.is_some_and(|mount| mount.upside_down)).map_err(|error| error.to_string())?;
-        let transform = base_from_laser.transform();
+        mount.check_level(base, laser).map_err(|error| error.to_string())?;
+        let scan = self.converter.convert(message, mount.upside_down).map_err(|error| error.to_string())?;
+        let transform = mount.base_from_laser.transform();
         let points: Vec<Point> = (0..scan.len()).filter_map(|ray| scan.point(ray)).map(|point| transform.apply(point)).collect();
         self.follower.on_scan(message.header.stamp.into(), points);
         Ok(())

@@ -14,8 +14,8 @@ use rosrust::api::{Master, Ros};
 use super::shutdown::StopSignal;
 use super::{NodeError, params};
 use crate::control::follower::FollowerKnobs;
-use crate::geometry::Pose2;
 use crate::knobs::{KnobGroup, KnobInfo, Value};
+use crate::transforms::LaserPlace;
 
 const NAME: &str = "path_follower";
 
@@ -32,8 +32,8 @@ crate::knobs! {
         map_frame: String = "map".into();
         /// The robot's frame.
         base_frame: String = "base_link".into();
-        /// Where the laser is on the robot, `[x, y, yaw]`; unset: from `/tf`.
-        laser_in_base: Option<Pose2> = None, unit "m, m, rad";
+        /// Where the laser is on the robot, `[x, y, yaw]`, or with its roll as a fourth number; unset: from `/tf`.
+        laser_in_base: Option<LaserPlace> = None, unit "m, m, rad";
         /// Commands per second.
         rate: f64 = 50.0, in 1 to 1000, unit "Hz";
     }

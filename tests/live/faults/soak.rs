@@ -57,7 +57,7 @@ fn fault(kind: u32, bench: &mut Bench, rng: &mut Pcg64) {
 fn soak(scans: u32, fault_every: u32) {
     let Some(mut bench) = Bench::start(181) else { return };
     let mut config = Config::default();
-    config.odometry.laser_in_base = Some(LASER_IN_BASE);
+    config.odometry.laser_in_base = Some(LASER_IN_BASE.into());
     let mut undisturbed =
         App::new(&config, std::sync::Arc::new(anytime_scan_matcher::anytime::clock::MonotonicClock::default())).unwrap();
     let mut rng = Pcg64::seed_from_u64(5);
