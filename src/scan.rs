@@ -35,6 +35,8 @@ const ALL_ROUND: f64 = 0.95;
 /// A sweep may exceed a full turn by a beam, which then looks where the first one does, and by this much, rad: the rounding of the
 /// message's 32-bit angles.
 const FULL_TURN_TOLERANCE: f64 = 1e-4;
+/// A sweep that takes longer is a mistake of the driver, s.
+const LONGEST_SWEEP: f64 = 1.0;
 /// Drivers round the number of beams or the last angle: the two may disagree by this many beams.
 const BEAM_COUNT_TOLERANCE: f64 = 1.6;
 
@@ -51,7 +53,7 @@ pub enum Oddity {
         /// Number that the angles give.
         expected: f64,
     },
-    /// The time between two rays is no number.
+    /// The time between two rays is no number, or one by which a sweep takes more than a second.
     #[error(
         "time_increment is {value}: ignored, all rays are taken to be of one moment (odometry.scan_duration can say how long a sweep takes)"
     )]
@@ -181,7 +183,7 @@ impl BeamGeometry {
         self.directions.is_empty()
     }
 
-    /// Direction of beam `i`, rad.
+    /// Direction of beam `i` by its index, rad: of beams that are not even, about.
     pub fn angle(&self, i: usize) -> f64 {
         self.angle_min + i as f64 * self.angle_increment
     }
@@ -419,8 +421,7 @@ impl ScanConverter {
         let limits = (f64::from(message.range_min), range_max.next_down());
         let ranges = message.ranges.iter().map(|&range| f64::from(range));
         let scan = Scan::new(message.header.stamp.into(), beams, limits, ranges)?.masked(&self.mask)?;
-        let time_increment = f64::from(message.time_increment);
-        Ok(scan.with_time_increment(if time_increment.is_finite() { time_increment } else { 0.0 }))
+        Ok(scan.with_time_increment(if is_sweep(message) { message.time_increment.into() } else { 0.0 }))
     }
 
     /// What was odd in the messages since the last call, each kind of it once.
@@ -445,7 +446,7 @@ impl ScanConverter {
         if !message.scan_time.is_finite() {
             self.note(Oddity::Ignored { field: "scan_time", value: message.scan_time.into() });
         }
-        if !message.time_increment.is_finite() {
+        if !is_sweep(message) {
             self.note(Oddity::TimeIncrement { value: message.time_increment.into() });
         }
         if intensities != 0 && intensities != beams {
@@ -492,6 +493,11 @@ impl Reach {
         }
         self.marker.map_or(limit, |marker| limit.min((1.0 - Self::ALIKE) * marker))
     }
+}
+
+/// Whether its rays can have been taken one after the other as it says.
+fn is_sweep(message: &LaserScan) -> bool {
+    f64::from(message.time_increment).abs() * message.ranges.len() as f64 <= LONGEST_SWEEP
 }
 
 fn check_header(message: &LaserScan) -> Result<(), ScanError> {

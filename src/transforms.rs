@@ -181,6 +181,11 @@ impl TransformTree {
         })
     }
 
+    /// Refuses a laser whose sweep does not go along the floor, which is level in the frame that all others hang from.
+    pub fn check_level(&self, laser: &str) -> Result<(), TiltedMount> {
+        self.root(laser).map_or(Ok(()), |(root, root_from_laser)| Mount::of(&root_from_laser).check_level(root, laser))
+    }
+
     /// The place of `inner` in the frame `outer`, when they are connected without any of the frames that either is `moving` in.
     pub fn fixed(&self, outer: &str, inner: &str, moving: &[&str]) -> Option<Isometry3<f64>> {
         let (of_outer, of_inner) = (self.ancestors(outer), self.ancestors(inner));

@@ -26,6 +26,7 @@ use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::sources::MotionSources;
+use crate::odometry::sweep::Sweep;
 use crate::odometry::wheel::WheelEvent;
 use crate::scan::Scan;
 use crate::time::{Continuity, Stamp, Step};
@@ -218,13 +219,22 @@ impl Localizer {
         stamp: Stamp,
         read: impl FnOnce(&mut Intake) -> Result<Scan, Unusable>,
     ) -> Result<Observation, NoEvidence> {
-        if !self.is_new(stamp) {
-            return Err(NoEvidence::NotNewer);
-        }
         let scan = read(&mut self.intake).inspect_err(|_| {
             self.last.get_or_insert(stamp);
         })?;
-        Ok(Observation::new(&scan, self.intake.config.sensor.beams as usize))
+        if !self.is_new(stamp) {
+            return Err(NoEvidence::NotNewer);
+        }
+        let straightened = self.straightened(&scan);
+        Ok(Observation::new(straightened.as_ref().unwrap_or(&scan), self.intake.config.sensor.beams as usize))
+    }
+
+    /// The scan without the distortion by the motion during its sweep, where there is any.
+    fn straightened(&self, scan: &Scan) -> Option<Scan> {
+        let sweep = Sweep::of(scan, &self.intake.config.odometry)?;
+        let (start, end) = sweep.span(scan.stamp());
+        let motion = self.sources.motion(start, end).unwrap_or_else(|| self.twist.motion(sweep.seconds()));
+        Some(sweep.straightened(scan, &self.intake.mount.base_from_laser, &motion))
     }
 
     /// Whether a scan of this stamp comes after the last one, be it that the clock was set meanwhile. In a new run the robot is where it
@@ -382,7 +392,8 @@ impl Localizer {
         Err(InputError::WrongFrame { frame: frame.into(), expected: expected.into() })
     }
 
-    fn check_place(&self, map_from_base: &Pose2) -> Result<(), InputError> {
+    /// Refuses a place that is not on the map.
+    pub fn check_place(&self, map_from_base: &Pose2) -> Result<(), InputError> {
         let cell = self.filter.map().coordinates(map_from_base.translation());
         #[allow(clippy::cast_possible_truncation)] // saturates: outside any map
         match self.filter.map().cell(cell.x.floor() as i64, cell.y.floor() as i64) {

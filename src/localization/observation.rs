@@ -27,7 +27,8 @@ impl Observation {
             let range = scan.ranges()[ray];
             let nothing_there = scan.saw_nothing(ray);
             if nothing_there || !range.is_nan() {
-                angles.push(scan.beams().angle(ray));
+                let direction = scan.beams().directions()[ray];
+                angles.push(direction.y.atan2(direction.x));
                 ranges.push(if nothing_there { f64::INFINITY } else { range });
             }
         }

@@ -18,6 +18,7 @@ mod registration;
 mod set_pose;
 mod source_noise;
 pub mod sources;
+pub mod sweep;
 pub mod uncertainty;
 pub mod wheel;
 
@@ -48,6 +49,7 @@ use registration::{matched_points, report};
 use set_pose::SetPose;
 use source_noise::SourceNoise;
 use sources::MotionSources;
+use sweep::Sweep;
 use wheel::{WheelEvent, WheelSample};
 
 /// A pose farther than this, m, from where the velocity before leads has jumped, ...
@@ -62,8 +64,6 @@ const MAX_TURN_ACCELERATION: f64 = 100.0;
 const USUAL_WEIGHT: f64 = 0.05;
 /// Time that the usual velocity is of, s.
 const USUAL_TIME: f64 = 0.1;
-/// A sweep that takes longer is a mistake of the driver, s.
-const LONGEST_SWEEP: f64 = 1.0;
 
 crate::choices! {
     /// The scan that is matched to.
@@ -390,25 +390,11 @@ impl LaserOdometry {
     /// The scan without the distortion by the motion during its sweep, where there is any: at the velocity of the wheels, else of the
     /// last answers.
     pub fn undistorted(&self, scan: &Scan, base_from_laser: &Pose2) -> Option<Scan> {
-        let (first_ray, sweep) = self.sweep(scan);
-        let seconds = sweep.abs();
-        if !self.knobs.deskew || seconds == 0.0 || seconds > LONGEST_SWEEP {
-            return None;
-        }
-        let start = scan.stamp().offset_by(first_ray.min(first_ray + sweep));
-        let by_wheels = self.sources.motion(start, start.offset_by(seconds)).filter(|_| !self.noise.odometry.is_disbelieved());
-        let motion = by_wheels.or_else(|| Some(self.last?.mean_twist.motion(seconds)))?;
-        let laser_motion = base_from_laser.inverse() * motion * *base_from_laser;
-        Some(scan.undistorted(&Twist2::of_motion(&laser_motion, seconds), first_ray, sweep))
-    }
-
-    /// When the first ray was taken, after the scan's stamp, and the last one after it, s. The message says it of its first ray; the
-    /// parameter, less than zero, that the last one came first, at the stamp.
-    fn sweep(&self, scan: &Scan) -> (f64, f64) {
-        match self.knobs.scan_duration {
-            Some(Seconds(sweep)) => ((-sweep).max(0.0), sweep),
-            None => (0.0, scan.sweep_duration()),
-        }
+        let sweep = Sweep::of(scan, &self.knobs)?;
+        let (start, end) = sweep.span(scan.stamp());
+        let by_wheels = self.sources.motion(start, end).filter(|_| !self.noise.odometry.is_disbelieved());
+        let motion = by_wheels.or_else(|| Some(self.last?.mean_twist.motion(sweep.seconds())))?;
+        Some(sweep.straightened(scan, base_from_laser, &motion))
     }
 
     /// Finishes the match of the last scan, if its answer had to be given before: what follows is predicted from the better pose.
@@ -657,10 +643,11 @@ impl LaserOdometry {
         self.maintain();
         self.matched_points = None;
         self.iterations.clear();
-        if let Some(answer) = self.answer_by_stamp(stamp) {
-            return answer;
-        }
         self.counters.predicted += 1;
+        // The stamp of such a scan may be as wrong as the rest of it: no run starts again by it.
+        if let Some(last) = self.last.filter(|last| stamp <= last.stamp) {
+            return self.passing(problem, last.map_from_base, &last.covariance, (last.motion.twist, ErrorEstimate::UNKNOWN));
+        }
         let (map_from_base, covariance, prediction) = match self.last {
             Some(last) => (last.map_from_base, last.covariance, self.attempt(&last, stamp, &Pose2::IDENTITY).prediction),
             None => (self.start, PoseCovariance::zeros(), Prediction::NONE),

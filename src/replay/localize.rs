@@ -7,6 +7,7 @@ use std::time::Duration;
 use comfy_table::{Table, presets};
 use serde_json::{Value, json};
 
+use super::failures::Failures;
 use super::row::BeliefRow;
 use super::{ReplayLog, Topics, feed, microseconds, sensed};
 use crate::anytime::clock::Clock;
@@ -119,8 +120,7 @@ pub struct LocalizationSummary {
     beams: u64,
     late: usize,
     worst_overrun: Duration,
-    /// By kind: how many, and the first in words.
-    unused: BTreeMap<String, (usize, String)>,
+    unused: Failures,
 }
 
 impl LocalizationSummary {
@@ -132,7 +132,7 @@ impl LocalizationSummary {
     /// Adds an answer; returns its pose, if it has one.
     pub fn add(&mut self, BeliefRow { pose, covariance, report }: &BeliefRow) -> Option<StampedPose> {
         let Some(pose) = *pose else {
-            self.unused.entry(report.failure.clone()).or_insert_with(|| (0, report.reason.clone())).0 += 1;
+            self.unused.add(&report.failure, &report.reason);
             return None;
         };
         let pose = StampedPose { stamp: report.header.stamp.into(), pose };
@@ -185,9 +185,8 @@ impl LocalizationSummary {
     }
 
     /// Why scans were not used, and how many; empty if all were.
-    pub fn unused(&self) -> String {
-        let kinds: Vec<String> = self.unused.values().map(|(count, first)| format!("{count}: {first}")).collect();
-        kinds.join("; ")
+    pub fn unused(&self) -> Vec<String> {
+        self.unused.in_words(self.poses.len() + self.unused.count())
     }
 
     /// Particles, how many of them are effective, and beams.
@@ -237,7 +236,7 @@ impl LocalizationSummary {
             "heading_max_deg": errors.map(|errors| errors.poses.rot_deg.max),
             "nees": consistency.map(|consistency| consistency.nees),
             "within_three_sigma": consistency.map(|consistency| consistency.positions_within),
-            "unused": self.unused.iter().map(|(code, (count, _))| (code, *count)).collect::<BTreeMap<_, _>>(),
+            "unused": self.unused.counts(),
             "problems": problems,
         })
     }
@@ -251,8 +250,8 @@ impl LocalizationSummary {
         if self.between > 0 {
             table.add_row(["passed over", &format!("{}: the timer found newer ones", self.between)]);
         }
-        for (code, (count, first)) in &self.unused {
-            table.add_row(["unused", &format!("{count}: {code}, the first: {first}")]);
+        for unused in self.unused() {
+            table.add_row(["unused", &unused]);
         }
         let found = self.seconds_to_find().map_or("never".into(), |seconds| format!("after {seconds:.2} s"));
         table.add_row(["localized", &format!("{} scans, first {found}", self.localized.len())]);

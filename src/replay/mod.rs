@@ -1,5 +1,6 @@
 //! Runs a bag through the application that the node runs.
 
+pub mod failures;
 pub mod localize;
 pub mod map_picture;
 pub mod map_sketch;

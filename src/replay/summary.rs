@@ -1,19 +1,19 @@
 //! Summary of a replay, as text and as JSON.
 
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::time::Duration;
 
 use comfy_table::{Table, presets};
 use serde_json::{Value, json};
 
+use super::failures::Failures;
 use super::row::MatchRow;
 use super::{ReplayLog, microseconds};
 use crate::app::MountSource;
 use crate::evaluation::consistency::{Claim, Consistency};
 use crate::evaluation::report::Report;
 use crate::evaluation::trajectory::StampedPose;
-use crate::odometry::{FailureReason, OdometryCounters};
+use crate::odometry::OdometryCounters;
 use crate::quantile;
 
 /// Collects the estimates of a replay.
@@ -24,8 +24,7 @@ pub struct Summary {
     elapsed: Vec<Duration>,
     iterations: u64,
     matched: usize,
-    /// By kind, in the order of their names: how many, and the first in words.
-    failures: BTreeMap<String, (usize, String)>,
+    failures: Failures,
     /// Shortest and longest time budget.
     budgets: Option<(Duration, Duration)>,
     /// Answers that had a bound on their error, and those that kept it.
@@ -100,7 +99,7 @@ impl Summary {
         self.iterations += u64::from(report.iterations);
         self.matched += usize::from(report.ok);
         if !report.ok {
-            self.failures.entry(report.failure.clone()).or_insert_with(|| (0, report.reason.clone())).0 += 1;
+            self.failures.add(&report.failure, &report.reason);
         }
         let budget = report.time_budget.span();
         if !budget.is_zero() {
@@ -131,32 +130,19 @@ impl Summary {
 
     /// Why the answers are worth nothing, if they are: every scan was malformed, or of a laser on edge.
     pub fn hollow(&self) -> Option<String> {
-        let unusable = [FailureReason::MalformedScan, FailureReason::TiltedMount].map(FailureReason::name);
-        let found = || unusable.iter().filter_map(|reason| self.failures.get_key_value(*reason));
-        let count: usize = found().map(|(_, (count, _))| count).sum();
-        let reasons =
-            || found().map(|(reason, (count, first))| self.in_words(reason, *count, first)).collect::<Vec<_>>().join("; ");
-        (count > 0 && count == self.poses.len()).then(reasons)
-    }
-
-    fn in_words(&self, reason: &str, count: usize, first: &str) -> String {
-        let scans = self.poses.len();
-        if reason == FailureReason::MalformedScan.name() {
-            format!("{count} of {scans} scans are malformed, the first: {first}")
-        } else {
-            format!("{count} of {scans} scans failed ({reason}), the first: {first}")
-        }
+        let (unusable, scans) = (self.failures.unusable(), self.poses.len());
+        (scans > 0 && unusable.count() == scans).then(|| unusable.in_words(scans).join("; "))
     }
 
     /// Problems worth knowing, each with its remedy where there is one.
     fn problems(&self, ending: &Ending) -> Vec<String> {
-        let failures = self.failures.iter().map(|(reason, (count, first))| self.in_words(reason, *count, first));
+        let failures = self.failures.in_words(self.poses.len());
         let elsewhere = self.outside_profile.as_ref().map(|(count, first)| {
             format!(
                 "{count} scans are of another kind than those of contract.profile, whose errors are not to be relied on: {first}"
             )
         });
-        failures.chain(elsewhere).chain(ending.problems()).collect()
+        failures.into_iter().chain(elsewhere).chain(ending.problems()).collect()
     }
 
     fn path_length(&self) -> f64 {
@@ -182,7 +168,7 @@ impl Summary {
             "scans": self.poses.len(),
             "matched": self.matched,
             "failed": self.poses.len() - self.matched,
-            "failures": self.failures.iter().map(|(reason, (count, _))| (reason, *count)).collect::<BTreeMap<_, _>>(),
+            "failures": self.failures.counts(),
             "path_length_m": self.path_length(),
             "mean_iterations": self.mean_iterations(),
             "keyframes": ending.counters.keyframes,
@@ -215,7 +201,7 @@ impl Summary {
         table.add_row(["scans", &self.poses.len().to_string()]);
         table.add_row(["matched", &self.matched.to_string()]);
         table.add_row(["failed", &(self.poses.len() - self.matched).to_string()]);
-        for (reason, (count, _)) in &self.failures {
+        for (reason, count) in self.failures.counts() {
             table.add_row(["", &format!("{count}: {reason}")]);
         }
         table.add_row(["path length", &format!("{:.2} m", self.path_length())]);

@@ -464,8 +464,9 @@ fn bags_of_another_kind_are_named_with_the_remedy() {
     let sqlite = said(&file("a.db3", b"SQLite format 3\0 and so on"));
     let mcap = said(&file("a.bag", b"\x89MCAP0\r\n"));
     file("metadata.yaml", b"rosbag2_bagfile_information:\n");
+    let contents = said(&dir.path().join("metadata.yaml"));
     let folder = said(dir.path());
-    for (said, form) in [(sqlite, "SQLite"), (mcap, "MCAP"), (folder, "metadata.yaml")] {
+    for (said, form) in [(sqlite, "SQLite"), (mcap, "MCAP"), (contents, "table of contents"), (folder, "metadata.yaml")] {
         assert!(said.contains("ROS 2") && said.contains(form) && said.contains("rosbags-convert"), "{said}");
     }
 }

@@ -100,12 +100,15 @@ fn before_the_first_usable_scan_answers_follow_odometry() {
 #[test]
 fn a_laser_on_edge_is_named() {
     let Some(bag) = shared("cases/k13_roll_90.bag") else { return };
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("replay").arg(bag).arg("--json").output().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("replay").arg(&bag).arg("--json").output().unwrap();
     let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(summary["matched"], 0, "{summary}");
     assert!(summary["failures"]["tilted_mount"].as_u64() > Some(0), "{summary}");
     assert!(summary["problems"].to_string().contains("tilted by"), "{summary}");
     assert_eq!(output.status.code(), Some(1), "no scan was of use: {}", String::from_utf8_lossy(&output.stderr));
+    let info = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("info").arg(bag).arg("--json").output().unwrap();
+    let info: Value = serde_json::from_slice(&info.stdout).unwrap();
+    assert!(info["problems"].to_string().contains("tilted by 90 degrees against 'base_link'"), "{info}");
 }
 
 /// A match 24 standard deviations from what odometry says, along a wall that leaves the heading open, is outweighed by the odometry.

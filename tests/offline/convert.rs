@@ -158,7 +158,7 @@ fn damage_is_left_out_and_said_and_what_is_no_log_is_an_error() {
     assert!(cut.contains("cut.clf:1: the line ends before") && cut.contains("remove it"), "{cut}");
     let negative = failure("negative.clf", front_laser("0 0 0 0 0 0", "-3").as_bytes());
     assert!(negative.contains("the stamp is -3.0"), "{negative}");
-    assert!(failure("a.bag", b"#ROSBAG V2.0\n\x01\x02 what").contains("begins no line of a CARMEN log"));
+    assert!(failure("a.bag", b"#ROSBAG V2.0\n\x01\x02 what").contains("is a bag already"));
     assert!(failure("broken.bz2", b"BZh9 this is no archive").contains("cannot read"));
     let nowhere = anytime(&["convert", "no/such.clf", "x.bag"]);
     assert!(nowhere.status.code() == Some(1) && String::from_utf8_lossy(&nowhere.stderr).contains("no/such.clf"));

@@ -196,6 +196,19 @@ fn scans_that_are_all_malformed_are_a_failure_with_its_reason() {
     assert!(said.contains("bad.bag: 12 of 12 scans are malformed, the first: "), "{said}");
     let text = String::from_utf8(desk.run("replay bad.bag").stdout).unwrap();
     assert!(text.contains("12 of 12 scans are malformed, the first: "), "{text}");
+    let said = desk.failure("map bad.bag --out m", 1);
+    assert!(said.contains("no scan on /scan could be used: 12 of 12 scans are malformed, the first: "), "{said}");
+    assert!(!desk.path("m.pgm").exists());
+}
+
+#[test]
+fn what_is_no_log_is_told_what_it_is() {
+    let desk = Desk::new();
+    fs::write(desk.path("x.mcap"), b"\x89MCAP0\r\n and so on").unwrap();
+    let said = desk.failure("convert x.mcap y.bag", 1);
+    assert!(said.contains("x.mcap is a ROS 2 bag, MCAP") && said.contains("rosbags-convert"), "{said}");
+    let said = desk.failure("convert demo.bag y.bag", 1);
+    assert!(said.contains("demo.bag is a bag already"), "{said}");
 }
 
 #[test]
@@ -221,11 +234,17 @@ fn wrong_usage_is_named_and_exits_with_two() {
         ("localize demo.bag", "--map M.yaml"),
         ("localize demo.bag --map m.yaml --particles 1", "localization.particles"),
         ("simulate --world room --out x.bag --beams 0", "beams: expected"),
+        ("simulate --world room --out x.bag --duration -5", "-5"),
+        ("map demo.bag --out m --resolution -1", "expected metres, 0.005 to 1"),
+        ("profile demo.bag --truth demo.tum --out p --rounds -1", "-1"),
         ("simulate --world rom --out x.bag", "--world: expected corridor | room, got \"rom\""),
     ] {
         let error = desk.failure(line, 2);
-        assert!(error.contains(said), "{line}: {error}");
+        assert!(error.contains(said) && !error.contains("unexpected argument"), "{line}: {error}");
     }
+    let map = Path::new(env!("CARGO_MANIFEST_DIR")).join("maps/corridor.yaml");
+    let off_the_map = desk.failure(&format!("localize demo.bag --map {} --initial-pose 1000,0,0", map.display()), 2);
+    assert!(off_the_map.contains("--initial-pose: (1000.00, 0.00) is outside the map"), "{off_the_map}");
     let unknown = desk.failure("replay demo.bag --set matching.foo=1", 2);
     assert!(unknown.contains("the nearest are:") && unknown.len() < 300, "{unknown}");
     let json = |line: &str| serde_json::from_slice::<Value>(&desk.run(line).stdout).unwrap();

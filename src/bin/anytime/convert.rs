@@ -3,7 +3,8 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use anytime_scan_matcher::io::bag::{BagWriter, Compression};
+use anyhow::anyhow;
+use anytime_scan_matcher::io::bag::{Bag, BagError, BagWriter, Compression};
 use anytime_scan_matcher::io::carmen::{CarmenLog, Mended, Mount, record};
 use anytime_scan_matcher::knobs::KnobValue;
 use clap::Args;
@@ -40,10 +41,19 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { log: path, out, fov, compression, json } = arguments;
     let files = Files::default().read("the log", Some(path)).written("the bag", Some(out));
     files.check()?;
-    let log = CarmenLog::read(path, *fov)?;
+    let log = CarmenLog::read(path, *fov).map_err(|error| bag_instead(path).unwrap_or_else(|| error.into()))?;
     record::record(&log, BagWriter::create_whole(out, *compression)?)?;
     let text = in_words(&log, path)?;
     Ok(files.shown(*json, || summary(&log, path), || text))
+}
+
+/// What to say of a bag where a log was expected.
+fn bag_instead(path: &Path) -> Option<anyhow::Error> {
+    match Bag::open(path) {
+        Ok(_) => Some(anyhow!("{} is a bag already: replay, localize and map read it as it is", path.display())),
+        Err(error @ BagError::Unsupported { .. }) => Some(error.into()),
+        Err(_) => None,
+    }
 }
 
 fn summary(log: &CarmenLog, path: &Path) -> Value {

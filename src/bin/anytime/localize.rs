@@ -82,6 +82,11 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     if arguments.global {
         localizer.spread();
     } else {
+        let asked_for = arguments.initial_pose.map(|pose| ("--initial-pose", pose));
+        if let Some((name, pose)) = asked_for.or(config.localization.initial_pose.map(|pose| ("localization.initial_pose", pose)))
+        {
+            localizer.check_place(&pose).map_err(|error| usage(format!("{name}: {error}")))?;
+        }
         let first_truth = truth.as_ref().map(|truth| truth.ends().0.pose);
         let start = arguments.initial_pose.or(config.localization.initial_pose).or(first_truth);
         localizer.start_at(&start.unwrap_or_default(), None);
@@ -93,7 +98,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     progress.finish_and_clear();
     if records.summary.poses().is_empty() {
         let unused = records.summary.unused();
-        let why = if unused.is_empty() { log.reasons(&bag) } else { format!(": {unused}") };
+        let why = if unused.is_empty() { log.reasons(&bag) } else { format!(": {}", unused.join("; ")) };
         bail!("{}: no scan on {} could be used{why}", arguments.bag.display(), topics.scan);
     }
     let summary = records.finish()?;

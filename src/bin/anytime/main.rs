@@ -25,7 +25,7 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 /// Match, simulate and evaluate laser scans from bags.
 #[derive(Parser)]
@@ -51,8 +51,19 @@ enum Command {
     Man(shell::Man),
 }
 
+/// A number below zero is refused for what it is, not taken for a flag.
+fn command() -> clap::Command {
+    let takes_numbers = |argument: clap::Arg| {
+        let takes_value = argument.get_action().takes_values();
+        if takes_value { argument.allow_negative_numbers(true) } else { argument }
+    };
+    let names: Vec<String> = Cli::command().get_subcommands().map(|command| command.get_name().to_owned()).collect();
+    let with_numbers = |command: clap::Command, name| command.mut_subcommand(name, |command| command.mut_args(takes_numbers));
+    names.into_iter().fold(Cli::command(), with_numbers)
+}
+
 fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+    let cli = match command().try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches)) {
         Ok(cli) => cli,
         Err(help) if help.kind() == ErrorKind::DisplayHelp => {
             return print(&terminal::colours(&help.render()), terminal::width());

@@ -17,7 +17,9 @@ use anytime_scan_matcher::io::map_files::{MapFiles, MapPaths, ending};
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::map::grid::OccupancyGrid;
 use anytime_scan_matcher::mapping::{EdgeKind, Mapper, SelfHits};
+use anytime_scan_matcher::odometry::{Failure, Outcome};
 use anytime_scan_matcher::output::OutputFile;
+use anytime_scan_matcher::replay::failures::Failures;
 use anytime_scan_matcher::replay::map_picture::Picture;
 use anytime_scan_matcher::replay::map_summary::{MapSummary, Stages};
 use anytime_scan_matcher::replay::{Source, replay, survey};
@@ -140,7 +142,7 @@ impl Survey {
         let schedule = ContractSchedule::default();
         let source = Source { bag: &bag, topics: &topics, schedule: &schedule };
         let (start, before) = (clock.now(), self.mapper.keyframes().len());
-        let mut mapping = Duration::ZERO;
+        let (mut mapping, mut scans, mut failures) = (Duration::ZERO, 0, Failures::default());
         let log = replay::<anyhow::Error>(
             &source,
             &mut app,
@@ -148,6 +150,10 @@ impl Survey {
             || progress.inc(1),
             |scan, estimate, app| {
                 let begun = clock.now();
+                scans += 1;
+                if let Outcome::Predicted(Failure { reason, text }) = &estimate.registration.outcome {
+                    failures.add(reason.name(), text);
+                }
                 survey::hand_over(&mut self.mapper, &mut self.self_hits, scan, estimate, app);
                 mapping += clock.now().saturating_sub(begun);
                 Ok(())
@@ -156,13 +162,15 @@ impl Survey {
         progress.finish_and_clear();
         self.stages.keyframes += mapping;
         self.stages.replay += clock.now().saturating_sub(start).saturating_sub(mapping);
+        let unusable = failures.unusable().in_words(scans);
         if self.mapper.keyframes().len() == before {
-            bail!("{}: no scan on {} could be used{}", path.display(), topics.scan, log.reasons(&bag));
+            let why = if unusable.is_empty() { log.reasons(&bag) } else { format!(": {}", unusable.join("; ")) };
+            bail!("{}: no scan on {} could be used{why}", path.display(), topics.scan);
         }
         let assumed = (app.mount().1 == MountSource::Assumed).then(|| {
             "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)".into()
         });
-        self.problems.extend(bag.problems().iter().map(ToString::to_string).chain(log.problems).chain(assumed));
+        self.problems.extend(bag.problems().iter().map(ToString::to_string).chain(log.problems).chain(unusable).chain(assumed));
         Ok(())
     }
 }

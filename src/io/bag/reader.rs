@@ -238,11 +238,17 @@ fn check_magic(path: &Path, file: &mut File) -> Result<(), BagError> {
     let reason = match start.as_slice() {
         [] => "it is empty",
         start if MAGIC.starts_with(start) => "it ends within its first line",
-        start if start.starts_with(b"SQLite format 3") => return Err(ros2_bag(path, "SQLite (.db3)")),
-        start if start.starts_with(b"\x89MCAP") => return Err(ros2_bag(path, "MCAP (.mcap)")),
+        start if start.starts_with(b"SQLite format 3") => return Err(of_ros2(path, "SQLite (.db3)")),
+        start if start.starts_with(b"\x89MCAP") => return Err(of_ros2(path, "MCAP (.mcap)")),
+        _ if path.ends_with("metadata.yaml") => return Err(of_ros2(path, "of which this is the table of contents")),
         _ => "it does not begin with `#ROSBAG V2.0`",
     };
     Err(BagError::NotABag { path, reason: reason.into() })
+}
+
+fn of_ros2(path: PathBuf, form: &str) -> BagError {
+    let remedy = "`rosbags-convert` (pip install rosbags) makes a ROS 1 bag of it";
+    BagError::Unsupported { path, what: format!("a ROS 2 bag, {form}"), remedy }
 }
 
 fn directory(path: &Path) -> BagError {
@@ -250,12 +256,7 @@ fn directory(path: &Path) -> BagError {
         |path: PathBuf| path.ends_with("metadata.yaml") || path.extension().is_some_and(|e| e == "db3" || e == "mcap");
     let mut entries = path.read_dir().into_iter().flatten().flatten();
     if entries.any(|entry| is_of_ros2(entry.path())) {
-        return ros2_bag(path.into(), "a folder of metadata.yaml and .db3 or .mcap files");
+        return of_ros2(path.into(), "a folder of metadata.yaml and .db3 or .mcap files");
     }
     BagError::NotABag { path: path.into(), reason: "it is a directory".into() }
-}
-
-fn ros2_bag(path: PathBuf, form: &str) -> BagError {
-    let reason = format!("it is a ROS 2 bag, {form}; `rosbags-convert` (pip install rosbags) makes a ROS 1 bag of it");
-    BagError::NotABag { path, reason }
 }

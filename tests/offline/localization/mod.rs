@@ -5,6 +5,7 @@ mod command;
 mod contract;
 mod lag;
 mod recovery;
+mod sweep;
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;

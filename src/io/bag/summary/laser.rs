@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use serde::Serialize;
 
 use crate::messages::sensor_msgs::LaserScan;
-use crate::scan::ScanConverter;
+use crate::scan::{Scan, ScanConverter};
 
 use super::super::BagMessage;
 use super::with_cause;
@@ -39,6 +39,8 @@ pub struct LaserSummary {
     pub unusable: u64,
     /// What is wrong with the first that cannot.
     pub first_error: Option<String>,
+    /// What is odd, though it keeps no scan from being used.
+    pub oddities: BTreeSet<String>,
 }
 
 impl LaserSummary {
@@ -52,6 +54,7 @@ impl LaserSummary {
                 self.unusable + self.usable
             ));
         }
+        problems.extend(self.oddities.iter().map(|oddity| format!("{topic}: {oddity}")));
         if self.geometry_changes > 0 {
             problems.push(format!("{topic}: the scan geometry changes {} times", self.geometry_changes));
         }
@@ -96,7 +99,9 @@ impl Statistics {
 
     fn add_scan(&mut self, message: &LaserScan) {
         self.describe(message);
-        match self.converter.convert(message, false) {
+        let scan = self.converter.convert(message, false).and_then(Scan::of_surroundings);
+        self.summary.oddities.extend(self.converter.take_oddities().iter().map(ToString::to_string));
+        match scan {
             Ok(scan) => {
                 self.summary.usable += 1;
                 self.rays += scan.len();

@@ -14,6 +14,8 @@ use serde::Serialize;
 use crate::messages::Message;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
+use crate::messages::tf2_msgs::TFMessage;
+use crate::transforms::TransformTree;
 
 use super::{Bag, BagError, BagMessage, Connection};
 
@@ -56,8 +58,14 @@ impl BagSummary {
         for connection in bag.connections() {
             topics.entry(&connection.topic).or_insert_with(|| TopicReport::new(connection));
         }
+        let mut transforms = TransformTree::default();
         for message in bag.messages(None) {
             let message = message?;
+            if message.connection.carries::<TFMessage>()
+                && let Ok(message) = message.decode()
+            {
+                transforms.add(&message);
+            }
             if let Some(report) = topics.get_mut(message.connection.topic.as_str()) {
                 report.add(&message);
             }
@@ -77,6 +85,7 @@ impl BagSummary {
             }
         }
         summary.problems.extend(summary.lasers.iter().flat_map(LaserSummary::problems));
+        summary.problems.extend(summary.tilted_lasers(&transforms));
         summary.problems.extend(summary.clouds.iter().flat_map(CloudSummary::problems));
         summary.problems.extend(summary.odometry.iter().flat_map(OdometrySummary::problems));
         summary.problems.extend(summary.what_is_missing());
@@ -98,6 +107,16 @@ impl BagSummary {
             odometry: Vec::new(),
             problems: bag.problems().iter().map(ToString::to_string).collect(),
         }
+    }
+
+    /// Lasers whose last mount in the bag is no planar one.
+    fn tilted_lasers(&self, transforms: &TransformTree) -> Vec<String> {
+        let tilted = |laser: &LaserSummary| {
+            let topic = laser.topic.clone();
+            let errors = laser.frames.iter().filter_map(|frame| transforms.check_level(frame).err());
+            errors.map(move |error| format!("{topic}: {error}")).collect::<Vec<_>>()
+        };
+        self.lasers.iter().flat_map(tilted).collect()
     }
 
     fn what_is_missing(&self) -> Vec<String> {
