@@ -140,7 +140,7 @@ struct TopicReport {
 }
 
 enum Content {
-    Laser(laser::Statistics),
+    Laser(Box<laser::Statistics>),
     Cloud(CloudSummary),
     Odometry(OdometrySummary),
     Other,
@@ -150,7 +150,7 @@ impl TopicReport {
     fn new(connection: &Connection) -> Self {
         let is = |name: &str, carries: bool| carries || connection.message_type == name;
         let content = if is(LaserScan::TYPE, connection.carries::<LaserScan>()) {
-            Content::Laser(laser::Statistics::new(&connection.topic))
+            Content::Laser(Box::new(laser::Statistics::new(&connection.topic)))
         } else if is(PointCloud2::TYPE, connection.carries::<PointCloud2>()) {
             Content::Cloud(CloudSummary::new(&connection.topic))
         } else if is(Odometry::TYPE, connection.carries::<Odometry>()) {
