@@ -3,7 +3,7 @@
 //! The better one goes first: transforms of another node, the heading of an IMU, wheel odometry, a velocity. Where there is none,
 //! the robot is taken to go on as it did.
 
-use crate::geometry::{Pose2, Twist2, wrap_angle};
+use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
 use crate::time::Stamp;
 
 use super::heading::{Heading, HeadingReading};
@@ -128,15 +128,24 @@ impl MotionSources {
     /// one of them is wrong, and the heading is known no better than that.
     pub(super) fn with_heading(&self, known: &Prediction, from: Stamp, to: Stamp) -> Prediction {
         let Some((turn, deviation)) = self.believed_turn(from, to) else { return *known };
-        let Prediction { motion, mut covariance } = *known;
+        let Prediction { motion, covariance } = *known;
         let difference = wrap_angle(turn - motion.theta);
-        if difference.abs() > CONTRADICTING * covariance[(2, 2)].sqrt().hypot(deviation) {
-            covariance[(2, 2)] = difference * difference;
-            return Prediction { motion, covariance };
+        if difference.abs() > CONTRADICTING * covariance.m33.sqrt().hypot(deviation) {
+            return Prediction { motion, covariance: with_heading_variance(&covariance, difference * difference) };
         }
-        covariance[(2, 2)] = covariance[(2, 2)].min(deviation * deviation);
-        Prediction { motion: with_turn(&motion, turn), covariance }
+        let variance = covariance.m33.min(deviation * deviation);
+        Prediction { motion: with_turn(&motion, turn), covariance: with_heading_variance(&covariance, variance) }
     }
+}
+
+/// The covariance when the heading's variance is found to be another one, rad^2: what the position has to do with the heading stays, by
+/// its regression on that.
+fn with_heading_variance(covariance: &PoseCovariance, variance: f64) -> PoseCovariance {
+    if covariance.m33 <= 0.0 {
+        return *covariance;
+    }
+    let by_heading = covariance.column(2) / covariance.m33;
+    covariance + by_heading * by_heading.transpose() * (variance - covariance.m33)
 }
 
 /// The motion of the same way but another turn: the arc bends more or less.
@@ -146,6 +155,8 @@ fn with_turn(motion: &Pose2, turn: f64) -> Pose2 {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
     use crate::odometry::uncertainty;
 
@@ -197,6 +208,19 @@ mod tests {
         let Prediction { motion: turned, covariance: known } = sources.with_heading(&straight, at(0.0), at(0.1));
         assert!((turned.theta - 0.2).abs() < 1e-9 && known[(2, 2)] < 0.1 * covariance[(2, 2)]);
         assert_eq!(known[(0, 0)].to_bits(), covariance[(0, 0)].to_bits());
+    }
+
+    #[test]
+    fn whatever_an_imu_says_of_the_heading_the_covariance_is_one() {
+        let heading_moves_the_position = Vector3::new(0.0, 0.1, 0.4);
+        let covariance = uncertainty::diagonal(0.01, 0.01) + heading_moves_the_position * heading_moves_the_position.transpose();
+        for deviation in [1e-4, 0.02, 0.4, 3.0] {
+            let known = with_heading_variance(&covariance, deviation * deviation);
+            assert!((known.m33 - deviation * deviation).abs() < 1e-12 && known.cholesky().is_some(), "{deviation}: {known}");
+            assert!((known.m23 / known.m33 - covariance.m23 / covariance.m33).abs() < 1e-9);
+        }
+        let exact = uncertainty::diagonal(0.0, 0.0);
+        assert_eq!(with_heading_variance(&exact, 0.1), exact);
     }
 
     #[test]

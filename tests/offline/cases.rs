@@ -1,11 +1,14 @@
 //! Inputs that went wrong on somebody's robot, each with its right value. They lie beside the checkout (`../shared/cases`).
 
+use std::path::Path;
 use std::process::Command;
 
 use anytime_scan_matcher::app::planar_pose;
-use anytime_scan_matcher::geometry::wrap_angle;
-use anytime_scan_matcher::io::bag::Bag;
+use anytime_scan_matcher::geometry::{Pose2, wrap_angle};
+use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
+use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan};
+use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::time::Stamp;
 use serde_json::Value;
 
@@ -14,14 +17,16 @@ use crate::common::shared;
 /// What `anytime replay` says of a case; `None` where it is not there.
 fn replay(case: &str, truth: &str, more: &[&str]) -> Option<Value> {
     let bag = shared(&format!("cases/{case}.bag"))?;
-    let mut command = Command::new(env!("CARGO_BIN_EXE_anytime"));
-    command.arg("replay").arg(&bag).arg("--json").args(more);
-    if !truth.is_empty() {
-        command.arg("--truth").arg(bag.with_file_name("truth").join(truth).with_extension("tum"));
-    }
-    let output = command.output().unwrap();
-    assert!(output.status.success(), "{case}: {}", String::from_utf8_lossy(&output.stderr));
-    Some(serde_json::from_slice(&output.stdout).unwrap())
+    let truth = (!truth.is_empty()).then(|| bag.with_file_name("truth").join(truth).with_extension("tum"));
+    let with_truth = truth.iter().flat_map(|truth| ["--truth", truth.to_str().unwrap()]);
+    Some(replay_bag(&bag, &with_truth.chain(more.iter().copied()).collect::<Vec<_>>()))
+}
+
+fn replay_bag(bag: &Path, arguments: &[&str]) -> Value {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_anytime")).arg("replay").arg(bag).arg("--json").args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}: {}", bag.display(), String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
 }
 
 /// The poses of a case, as a TUM file has them; `None` where it is not there.
@@ -74,6 +79,71 @@ fn numbers_that_matching_does_not_need_are_ignored_with_a_word() {
 #[test]
 fn an_imu_that_errs_is_not_believed_and_named() {
     right("k6_imu_ned", "turny", &[], 0.01, "without the IMU");
+}
+
+/// What a sensor's numbers are multiplied by.
+#[derive(Clone, Copy, Debug)]
+struct Units {
+    imu: f64,
+    /// Distance and turn; `None`: there are no wheels.
+    wheels: Option<(f64, f64)>,
+}
+
+/// The bag of the IMU whose sign is wrong, with other units.
+fn with_units(from: &Path, to: &Path, units: Units) {
+    let mut writer = BagWriter::create(to, Compression::None).unwrap();
+    for message in Bag::open(from).unwrap().messages(None) {
+        let message = message.unwrap();
+        match message.connection.topic.as_str() {
+            "/scan" => writer.write("/scan", message.time, &message.decode::<LaserScan>().unwrap()).unwrap(),
+            "/tf_static" => writer.write_latched("/tf_static", message.time, &message.decode::<TFMessage>().unwrap()).unwrap(),
+            "/imu/data" => {
+                let mut imu = message.decode::<Imu>().unwrap();
+                imu.angular_velocity.z *= units.imu;
+                writer.write("/imu/data", message.time, &imu).unwrap();
+            }
+            "/odom" => {
+                let Some((way, turn)) = units.wheels else { continue };
+                let mut odometry = message.decode::<Odometry>().unwrap();
+                let pose = planar_pose(&odometry.pose.pose).unwrap();
+                odometry.pose.pose = Pose2::new(way * pose.x, way * pose.y, turn * pose.theta).into();
+                odometry.twist.twist.linear.x *= way;
+                odometry.twist.twist.angular.z *= turn;
+                writer.write("/odom", message.time, &odometry).unwrap();
+            }
+            _ => {}
+        }
+    }
+    writer.finish().unwrap();
+}
+
+#[test]
+fn sensors_of_other_units_and_signs_lead_nowhere_else() {
+    let Some(bag) = shared("cases/k6_imu_ned.bag") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let changed = folder.path().join("changed.bag");
+    let degrees = 180.0 / std::f64::consts::PI;
+    let right = Some((1.0, 1.0));
+    for (imu, wheels) in [
+        (-1.0, right),
+        (-degrees, right),
+        (degrees, right),
+        (0.0, right),
+        (-1.0, None),
+        (1.0, None),
+        (-degrees, None),
+        (-1.0, Some((1.0, -1.0))),
+        (1.0, Some((1.0, -1.0))),
+        (-1.0, Some((0.01, 1.0))),
+        (-1.0, Some((1000.0, 1.0))),
+    ] {
+        let units = Units { imu, wheels };
+        with_units(&bag, &changed, units);
+        let truth = bag.with_file_name("truth/turny.tum");
+        let summary = replay_bag(&changed, &["--truth", truth.to_str().unwrap()]);
+        let ate = summary["ate_rmse_m"].as_f64().unwrap();
+        assert!(ate < 0.01 && summary["failed"] == 0, "{units:?}: {ate} m: {summary}");
+    }
 }
 
 #[test]
