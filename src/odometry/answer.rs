@@ -60,13 +60,15 @@ impl Answer {
         }
     }
 
-    /// Where a match has found the laser, seen from the keyframe. `known` is what its pairs say; so many rays, `alike`, err together.
+    /// Where a match has found the laser, seen from the keyframe. `known` is what its pairs say; so many rays, `alike`, err together. The
+    /// covariance is multiplied by `doubt`.
     pub(super) fn matched(
         attempt: &Attempt,
         keyframe: &Placement,
         keyframe_from_laser: &Pose2,
         known: Option<&Uncertainty>,
         alike: f64,
+        doubt: f64,
     ) -> Self {
         let none = PoseCovariance::zeros();
         let predicted = attempt.prediction.covariance;
@@ -78,7 +80,7 @@ impl Answer {
         };
         // The noise of rays averages out over the scans; what they have in common stays, and adds up from keyframe to keyframe, as do
         // the steps between two keyframes where they are all that is known.
-        let stays = together(alike, &attempt.last.covariance_to_keyframe).unwrap_or(by_pairs);
+        let stays = doubt * together(alike, &attempt.last.covariance_to_keyframe).unwrap_or(by_pairs);
         let map_from_laser = keyframe.map_from_laser * *keyframe_from_laser;
         let of_laser = uncertainty::compound(&keyframe.map_from_laser, &keyframe.covariance, keyframe_from_laser, &stays);
         let laser_from_base = attempt.base_from_laser.inverse();

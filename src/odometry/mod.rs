@@ -445,7 +445,10 @@ impl LaserOdometry {
             return Found { report, keyframe_from_laser, agreement, answer: Err(problem) };
         }
         let alike = uncertainty::rays_alike(scan, report.rays_used);
-        let answer = Answer::matched(attempt, keyframe, &keyframe_from_laser, uncertainty.as_ref(), alike);
+        let motion = attempt.last.map_from_base.between(&(map_from_laser * attempt.base_from_laser.inverse()));
+        let deviation = attempt.said.as_ref().map_or(0.0, |said| source_noise::deviation(said, &motion));
+        let doubt = self.noise.odometry.doubt(deviation);
+        let answer = Answer::matched(attempt, keyframe, &keyframe_from_laser, uncertainty.as_ref(), alike, doubt);
         Found {
             keyframe_from_laser,
             agreement,

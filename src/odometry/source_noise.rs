@@ -40,6 +40,12 @@ impl SourceNoise {
         self.factor >= DISBELIEVED
     }
 
+    /// So many times its covariance is what a match may err by that differs from the source by so many standard deviations of the source's
+    /// model: which of the two is wrong, nobody knows.
+    pub(super) fn doubt(self, deviation: f64) -> f64 {
+        self.factor.max(deviation.min(CLIPPED).powi(2))
+    }
+
     /// What the matches make of a step: it errs by so many standard deviations of the model, in the mean over its coordinates.
     pub(super) fn judge(&mut self, deviation: f64) {
         let seen = deviation.min(CLIPPED).powi(2);
