@@ -1,6 +1,7 @@
 //! What comes of a scan, before it is taken in: a pose, what is known of it, and from what.
 
 use super::attempt::Attempt;
+use super::doubt::Doubt;
 use super::placement::Placement;
 use super::prediction::Prediction;
 use super::{Failure, FailureReason, OdometryKnobs, Outcome, RefinementReport, uncertainty};
@@ -60,15 +61,14 @@ impl Answer {
         }
     }
 
-    /// Where a match has found the laser, seen from the keyframe. `known` is what its pairs say; so many rays, `alike`, err together. The
-    /// covariance is multiplied by `doubt`.
+    /// Where a match has found the laser, seen from the keyframe. `known` is what its pairs say; so many rays, `alike`, err together.
     pub(super) fn matched(
         attempt: &Attempt,
         keyframe: &Placement,
         keyframe_from_laser: &Pose2,
         known: Option<&Uncertainty>,
         alike: f64,
-        doubt: f64,
+        doubt: &Doubt,
     ) -> Self {
         let none = PoseCovariance::zeros();
         let predicted = attempt.prediction.covariance;
@@ -80,7 +80,7 @@ impl Answer {
         };
         // The noise of rays averages out over the scans; what they have in common stays, and adds up from keyframe to keyframe, as do
         // the steps between two keyframes where they are all that is known.
-        let stays = doubt * together(alike, &attempt.last.covariance_to_keyframe).unwrap_or(by_pairs);
+        let stays = doubt.factor * together(alike, &attempt.last.covariance_to_keyframe).unwrap_or(by_pairs);
         let map_from_laser = keyframe.map_from_laser * *keyframe_from_laser;
         let of_laser = uncertainty::compound(&keyframe.map_from_laser, &keyframe.covariance, keyframe_from_laser, &stays);
         let laser_from_base = attempt.base_from_laser.inverse();
@@ -89,13 +89,14 @@ impl Answer {
             let of_base = uncertainty::compound(keyframe_from_laser, of_laser, &laser_from_base, &none);
             uncertainty::turned(&of_base, -(*keyframe_from_laser * laser_from_base).theta)
         };
+        let covariance = uncertainty::compound(&map_from_laser, &of_laser, &laser_from_base, &none) + doubt.covariance;
         Self {
             outcome: Outcome::Matched,
             step_covariance: uncertainty::turned(&by_pairs, keyframe.map_from_laser.theta),
             matched_covariance: together(1.0, &none).map(|known| of_base(&known)),
             covariance_to_keyframe: of_base(&stays),
             predicted_error: ErrorEstimate::of_covariance(&predicted),
-            ..Self::first(map_from_base, uncertainty::compound(&map_from_laser, &of_laser, &laser_from_base, &none))
+            ..Self::first(map_from_base, covariance)
         }
     }
 }

@@ -57,11 +57,12 @@ mod tests {
 
     use super::*;
     use crate::geometry::PoseCovariance;
+    use crate::time::Stamp;
 
     fn place(pose: Pose2, position: f64, heading: f64) -> Placement {
         let step_covariance =
             PoseCovariance::from_diagonal(&[position * position, position * position, heading * heading].into());
-        Placement { map_from_laser: pose, covariance: PoseCovariance::zeros(), step_covariance }
+        Placement { stamp: Stamp::default(), map_from_laser: pose, covariance: PoseCovariance::zeros(), step_covariance }
     }
 
     /// 20 m along x, round a corner, and 20 m along y; headings are as sure as the steps, but for the one at the corner.

@@ -294,7 +294,7 @@ mod tests {
         let mut map = LocalMap::default();
         for &(x, y) in places {
             let (covariance, step_covariance) = (PoseCovariance::zeros(), uncertainty::diagonal(0.01, 1e-6));
-            let place = Placement { map_from_laser: Pose2::new(x, y, 0.0), covariance, step_covariance };
+            let place = Placement { stamp: Stamp::default(), map_from_laser: Pose2::new(x, y, 0.0), covariance, step_covariance };
             map.add(place, Arc::clone(&view), false, most);
             around(&mut map, (x, y), 1);
         }

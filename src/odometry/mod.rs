@@ -6,6 +6,7 @@
 
 mod answer;
 mod attempt;
+mod doubt;
 mod drift;
 pub mod heading;
 mod lag;
@@ -38,6 +39,7 @@ use crate::time::{Continuity, Stamp, Step};
 use crate::transforms::LaserPlace;
 use answer::{Answer, Found, problem};
 use attempt::{Attempt, Last};
+use doubt::Doubt;
 use heading::HeadingReading;
 use local_map::{LocalMap, Unrecognised};
 use loop_closure::{LoopCloser, Recognition, Sighting};
@@ -445,16 +447,26 @@ impl LaserOdometry {
             return Found { report, keyframe_from_laser, agreement, answer: Err(problem) };
         }
         let alike = uncertainty::rays_alike(scan, report.rays_used);
-        let motion = attempt.last.map_from_base.between(&(map_from_laser * attempt.base_from_laser.inverse()));
-        let deviation = attempt.said.as_ref().map_or(0.0, |said| source_noise::deviation(said, &motion));
-        let doubt = self.noise.odometry.doubt(deviation);
-        let answer = Answer::matched(attempt, keyframe, &keyframe_from_laser, uncertainty.as_ref(), alike, doubt);
+        let doubt = self.doubt(keyframe, attempt, &map_from_laser, scan.stamp());
+        let answer = Answer::matched(attempt, keyframe, &keyframe_from_laser, uncertainty.as_ref(), alike, &doubt);
         Found {
             keyframe_from_laser,
             agreement,
             answer: Ok(Answer { estimated_error, refinement: Some(report), ..answer }),
             report,
         }
+    }
+
+    /// What odometry makes doubtful of a match that has found the laser at `map_from_laser`.
+    fn doubt(&self, keyframe: &Placement, attempt: &Attempt, map_from_laser: &Pose2, stamp: Stamp) -> Doubt {
+        let laser_from_base = attempt.base_from_laser.inverse();
+        let [map_from_base, map_from_keyframe] = [map_from_laser, &keyframe.map_from_laser].map(|laser| *laser * laser_from_base);
+        let step = attempt.last.map_from_base.between(&map_from_base);
+        let doubt = Doubt::of_step(self.noise.odometry, attempt.said.as_ref(), &step);
+        let Some(said) = self.sources.motion_without_imu(keyframe.stamp, stamp) else { return doubt };
+        let covariance = uncertainty::of_wheels(&said, stamp.seconds_since(keyframe.stamp));
+        let said = Prediction { motion: said, covariance };
+        doubt.since_keyframe(map_from_keyframe.theta, &said, &map_from_keyframe.between(&map_from_base))
     }
 
     /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register_within`] does it otherwise.
@@ -764,7 +776,7 @@ impl LaserOdometry {
             self.counters.keyframes += 1;
             let covariance =
                 uncertainty::compound(&answer.map_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
-            let place = Placement { map_from_laser, covariance, step_covariance: answer.step_covariance };
+            let place = Placement { stamp: scan.stamp(), map_from_laser, covariance, step_covariance: answer.step_covariance };
             self.upcoming_keyframe = Some(UpcomingKeyframe { scan: scan.clone(), place, is_lost });
         }
         self.last = Some(Last {

@@ -1,10 +1,13 @@
-//! Where a scan was taken.
+//! Where and when a scan was taken.
 
 use crate::geometry::{Pose2, PoseCovariance};
+use crate::time::Stamp;
 
-/// Where a scan was taken.
+/// Where and when a scan was taken.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
+    /// When.
+    pub(super) stamp: Stamp,
     /// Pose of the laser.
     pub(super) map_from_laser: Pose2,
     /// Covariance of that pose, in the map frame.

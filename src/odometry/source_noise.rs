@@ -60,10 +60,15 @@ impl Prediction {
     }
 }
 
+/// By how much a motion differs from the one that was said: m, m, rad, along the axes of its start.
+pub(super) fn offset(said: &Prediction, found: &Pose2) -> Vector3<f64> {
+    let Pose2 { x, y, theta } = said.motion;
+    Vector3::new(found.x - x, found.y - y, wrap_angle(found.theta - theta))
+}
+
 /// Standard deviations, in the mean over the coordinates, of a motion from the one that was said.
 pub(super) fn deviation(said: &Prediction, found: &Pose2) -> f64 {
-    let Pose2 { x, y, theta } = said.motion;
-    let error = Vector3::new(found.x - x, found.y - y, wrap_angle(found.theta - theta));
+    let error = offset(said, found);
     said.covariance.cholesky().map_or(0.0, |known| (error.dot(&known.solve(&error)).max(0.0) / 3.0).sqrt())
 }
 

@@ -119,15 +119,23 @@ fn covariances_hold_on_maps_as_far_as_stated() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (bag, truth) = (path("drive.bag"), path("drive.tum"));
-    for (map, wrong, beyond) in
-        [("berlin", 0, 0.01), ("columbia", 0, 0.01), ("levine", 0, 0.01), ("porto", 0, 0.01), ("skirk", 0, 0.01)]
-    {
+    for (map, walkers, wrong, beyond) in [
+        ("berlin", "0", 0, 0.01),
+        ("columbia", "0", 0, 0.01),
+        ("levine", "0", 0, 0.01),
+        ("porto", "0", 0, 0.01),
+        ("skirk", "0", 0, 0.01),
+        // The poses are off by a metre: that is said.
+        ("levine", "30", 92, 0.04),
+        ("porto", "30", 0, 0.01),
+    ] {
         let Some(world) = shared(&format!("data/maps/{map}.yaml")) else { return };
-        let drive = ["--duration", "60", "--speed", "5", "--seed", "21", "--json"];
+        let drive = ["--duration", "60", "--speed", "5", "--seed", "21", "--walkers", walkers, "--json"];
         json(&[&["simulate", "--world", world.to_str().unwrap(), "--out", &bag, "--truth", &truth], &drive[..]].concat());
         let found = &json(&["replay", &bag, "--truth", &truth, "--json"])["consistency"];
         let share_beyond = |name: &str| 1.0 - found[name].as_f64().unwrap();
-        assert!(found["confidently_wrong"].as_u64().unwrap() <= wrong, "{map}: {found}");
-        assert!(share_beyond("positions_within") < beyond && share_beyond("headings_within") < beyond, "{map}: {found}");
+        assert!(found["confidently_wrong"].as_u64().unwrap() <= wrong, "{map}, {walkers} people: {found}");
+        let share = share_beyond("positions_within").max(share_beyond("headings_within"));
+        assert!(share < beyond, "{map}, {walkers} people: {found}");
     }
 }

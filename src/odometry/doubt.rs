@@ -1,0 +1,63 @@
+//! What is doubtful of a match that contradicts the odometry: nobody knows which of the two is wrong. People who walk beside the robot pull a
+//! match along as wheels do that slip.
+
+use super::prediction::Prediction;
+use super::source_noise::{SourceNoise, deviation, offset};
+use super::uncertainty::turned;
+use crate::geometry::{Pose2, PoseCovariance};
+
+/// How much more a match may err than its pairs say.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Doubt {
+    /// So many times the covariance that its pairs claim.
+    pub(super) factor: f64,
+    /// And this besides: the covariance of the pose, along the axes of the map.
+    pub(super) covariance: PoseCovariance,
+}
+
+impl Doubt {
+    /// Of a match by which the base has moved by `found` since the last scan, where odometry, which has been wrong lately by `noise`, says
+    /// `said`.
+    pub(super) fn of_step(noise: SourceNoise, said: Option<&Prediction>, found: &Pose2) -> Self {
+        let deviation = said.map_or(0.0, |said| deviation(said, found));
+        Self { factor: noise.doubt(deviation), covariance: PoseCovariance::zeros() }
+    }
+
+    /// The same, when the base has moved by `found` since the keyframe, where it was turned by `heading` on the map, and odometry says
+    /// `said`. Steps that err by little each, but always to the same side, show there: what the two differ by, the pose may be wrong by.
+    pub(super) fn since_keyframe(self, heading: f64, said: &Prediction, found: &Pose2) -> Self {
+        // Within a standard deviation they do not contradict one another; beyond, the more the difference counts.
+        let share = 1.0 - deviation(said, found).max(1.0).powi(-2);
+        let difference = offset(said, found);
+        Self { covariance: turned(&(share * difference * difference.transpose()), heading), ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use super::*;
+    use crate::odometry::uncertainty::of_wheels;
+
+    /// What is doubtful when odometry says that the robot drove on by `said` m since a keyframe that looks north, and the match `found`.
+    fn doubt(said: f64, found: f64) -> Doubt {
+        let motion = Pose2::new(said, 0.0, 0.0);
+        let said = Prediction { motion, covariance: of_wheels(&motion, 0.1) };
+        let found = Pose2::new(found, 0.0, 0.0);
+        Doubt::of_step(SourceNoise::default(), Some(&said), &found).since_keyframe(FRAC_PI_2, &said, &found)
+    }
+
+    #[test]
+    fn a_match_that_contradicts_the_odometry_may_be_wrong_by_the_difference() {
+        let Doubt { factor, covariance } = doubt(0.4, 0.0);
+        assert!(factor > 10.0 && (covariance.m22.sqrt() - 0.4).abs() < 0.05, "{factor} {covariance}");
+        assert!(covariance.m11 < 1e-9 && covariance.m33 < 1e-9, "along the way alone: {covariance}");
+    }
+
+    #[test]
+    fn what_odometry_may_err_by_contradicts_nothing() {
+        let Doubt { factor, covariance } = doubt(0.4, 0.37);
+        assert!((factor - 1.0).abs() < 1e-9 && covariance.norm() < 1e-9, "{factor} {covariance}");
+    }
+}
