@@ -42,9 +42,14 @@ pub(crate) struct Drive {
 impl Drive {
     /// `extra` adds messages; it is told the time of the start.
     pub(crate) fn write(folder: &Path, seconds: f64, extra: impl FnOnce(&mut BagWriter, Stamp)) -> Self {
+        Self::write_at(folder, seconds, 20.0, extra)
+    }
+
+    /// The same with so many scans a second.
+    fn write_at(folder: &Path, seconds: f64, rate: f64, extra: impl FnOnce(&mut BagWriter, Stamp)) -> Self {
         let mut settings = Settings::default();
         settings.drive.duration = Seconds(seconds);
-        settings.lidar.rate = 20.0;
+        settings.lidar.rate = rate;
         let bag = folder.join("corridor.bag");
         let mut writer = BagWriter::create(&bag, Compression::None).unwrap();
         let (mut truth, mut start) = (BTreeMap::new(), None);
@@ -375,6 +380,32 @@ fn a_clicked_point_says_where_and_not_in_which_direction() {
     };
     assert!((at_click.translation() - clicked.translation()).norm() > 4.0, "choose another place: {at_click:?}");
     assert!(heard.poses.iter().any(|pose| near(&pose)), "the robot is where the person says");
+}
+
+#[test]
+fn the_robot_is_found_from_anywhere_at_40_scans_a_second() {
+    let Some(graph) = Graph::start() else { return };
+    let drive = Drive::write_at(graph.dir.path(), 20.0, 40.0, |_, _| {});
+    let node = start(&graph, &[&map_file(graph.dir.path())]);
+    node.expect_log("has a map of 400 x 300");
+    let recorder = graph.record(&TOPICS);
+    graph.play(&drive.bag, &[]);
+    let heard = Heard::read(&graph.finish_recording(recorder));
+    let is_right = |report: &&FilterReport| {
+        let stamp = report.header.stamp.into();
+        let pose = heard.poses.iter().find(|(of, _)| *of == stamp);
+        pose.is_some_and(|(_, pose)| drive.error(stamp, pose).distance() < 0.3)
+    };
+    let claims: Vec<&FilterReport> = heard.reports.iter().filter(|report| report.localized).collect();
+    let first = claims.first().map(|report| Stamp::from(report.header.stamp).seconds_since(drive.start));
+    println!(
+        "found after {first:?} s; {} of {} claims are right",
+        claims.iter().filter(|claim| is_right(claim)).count(),
+        claims.len()
+    );
+    assert!(first.is_some_and(|seconds| seconds < 15.0), "{first:?}");
+    assert!(claims.last().is_some_and(is_right), "{:?}", heard.reports.last());
+    assert!(claims.iter().filter(|claim| is_right(claim)).count() * 10 > claims.len() * 9);
 }
 
 #[test]

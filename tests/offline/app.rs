@@ -108,13 +108,10 @@ fn scans_that_come_before_the_lasers_place_is_known_shift_nothing() {
     let mount = Pose2::new(0.3, -0.1, 0.5);
     let mut app = app(&["odometry.initial_pose=[1, 2, 0.5]"]);
     let start = Pose2::new(1.0, 2.0, 0.5);
-    let mut transform =
-        TransformStamped { child_frame_id: "laser".into(), transform: mount.into(), ..TransformStamped::default() };
-    transform.header.frame_id = "base_link".into();
     for i in 0..3 {
         assert_near(answer(&mut app, &scan_at(f64::from(i) * 0.05, mount)).registration.odom_from_base, start, 0.002);
     }
-    app.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
+    place(&mut app, "base_link", "laser", mount.into());
     for i in 0..60 {
         let seconds = f64::from(i) * 0.05;
         let estimate = answer(&mut app, &scan_at(seconds + 0.15, way(seconds) * mount));
@@ -123,15 +120,62 @@ fn scans_that_come_before_the_lasers_place_is_known_shift_nothing() {
     assert_eq!(app.take_remarks(), [""; 0], "the laser has not moved");
 }
 
+/// tf says that `child` is at this place on `parent`.
+fn place(app: &mut App, parent: &str, child: &str, transform: Transform) {
+    let mut transform = TransformStamped { child_frame_id: child.into(), transform, ..TransformStamped::default() };
+    transform.header.frame_id = parent.into();
+    app.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
+}
+
+#[test]
+fn a_laser_that_pans_is_followed() {
+    let mut app = app(&[]);
+    for i in 0..60 {
+        let seconds = f64::from(i) * 0.05;
+        let mount = Pose2::new(0.2, 0.1, 0.6 * (2.0 * seconds).sin());
+        place(&mut app, "base_link", "laser", mount.into());
+        let estimate = answer(&mut app, &scan_at(seconds, way(seconds) * mount));
+        assert_near(estimate.registration.odom_from_base, way(seconds), 0.01);
+    }
+    assert!(app.take_remarks().iter().any(|remark| remark.contains("poses follow tf")), "by up to 3 degrees from scan to scan");
+}
+
+#[test]
+fn a_base_that_rolls_and_pitches_forgets_nothing() {
+    let mut app = app(&["base_frame=base_footprint"]);
+    place(&mut app, "base_link", "laser", Pose2::new(0.2, 0.0, 0.0).into());
+    for i in 0..60 {
+        let seconds = f64::from(i) * 0.05;
+        let (roll, pitch) = (0.03 * (9.0 * seconds).sin(), 0.03 * (7.0 * seconds).cos());
+        let rotation = Quaternion { x: 0.5 * roll, y: 0.5 * pitch, z: 0.0, w: 1.0 };
+        place(&mut app, "base_footprint", "base_link", Transform { rotation, ..Transform::default() });
+        let estimate = answer(&mut app, &scan_at(seconds, way(seconds) * Pose2::new(0.2, 0.0, 0.0)));
+        assert!(i == 0 || estimate.registration.outcome == Outcome::Matched, "{:?}", estimate.registration.outcome);
+        assert_near(estimate.registration.odom_from_base, way(seconds), 0.01);
+    }
+    assert!(app.odometry_counters().keyframes < 12, "{:?}", app.odometry_counters());
+}
+
+#[test]
+fn a_mount_that_jumps_is_said() {
+    let mut app = app(&[]);
+    for i in 0..20 {
+        let seconds = f64::from(i) * 0.05;
+        let mount = if i < 10 { Pose2::new(0.2, 0.0, 0.0) } else { Pose2::new(0.5, 0.0, 0.0) };
+        place(&mut app, "base_link", "laser", mount.into());
+        let estimate = answer(&mut app, &scan_at(seconds, way(seconds) * mount));
+        assert_near(estimate.registration.odom_from_base, way(seconds), 0.01);
+    }
+    let remarks = app.take_remarks();
+    assert!(remarks.iter().any(|remark| remark.contains("moved on the base by 0.300 m")), "{remarks:?}");
+}
+
 /// A laser whose roll tf says by a half turn about x, if at all.
 fn with_laser_on_its_head(parameter: &[&str], by_tf: bool) -> App {
     let mut app = app(parameter);
     let upside_down = Transform { rotation: Quaternion { x: 1.0, y: 0.0, z: 0.0, w: 0.0 }, ..Transform::default() };
-    let mut transform =
-        TransformStamped { child_frame_id: "laser".into(), transform: upside_down, ..TransformStamped::default() };
-    transform.header.frame_id = "base_link".into();
     if by_tf {
-        app.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
+        place(&mut app, "base_link", "laser", upside_down);
     }
     app
 }

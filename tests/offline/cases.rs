@@ -199,6 +199,8 @@ fn a_laser_at_rest_stays_where_it_is() {
         let numbers: Vec<f64> = line.split_whitespace().map(|number| number.parse().unwrap()).collect();
         assert!(numbers[1].hypot(numbers[2]) < 0.07, "{line}");
     }
+    let summary = replay("lidarme", "", &[]).unwrap();
+    assert_eq!(summary["keyframes"], 1, "nothing new is seen: {summary}");
 }
 
 /// A laser inside a wall sees nothing but its own noise; the odometry says how the robot turns.
