@@ -203,6 +203,22 @@ fn a_laser_at_rest_stays_where_it_is() {
     assert_eq!(summary["keyframes"], 1, "nothing new is seen: {summary}");
 }
 
+/// Long walls without an end, and no odometry: what is seen last is what was seen first, and where the robot has been in between nobody
+/// knows.
+#[test]
+fn along_a_wall_without_odometry_the_covariance_says_that_nothing_is_known() {
+    let Some(poses) = poses("rosify_laser", &["--scan-topic", "laser_scan"]) else { return };
+    let stamps: Vec<&str> = poses.lines().filter_map(|line| line.split(' ').next()).collect();
+    let (first, last) = (&stamps[..1], &stamps[stamps.len() - 20..]);
+    let at_the_start: String = first.iter().chain(last).map(|stamp| format!("{stamp} 0 0 0 0 0 0 1\n")).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let truth = folder.path().join("truth.tum");
+    std::fs::write(&truth, at_the_start).unwrap();
+    let arguments = ["--scan-topic", "laser_scan", "--truth", truth.to_str().unwrap()];
+    let summary = replay("rosify_laser", "", &arguments).unwrap();
+    assert!(summary["consistency"]["positions_within"].as_f64().unwrap() > 0.75, "{summary}");
+}
+
 /// A laser inside a wall sees nothing but its own noise; the odometry says how the robot turns.
 #[test]
 fn a_laser_in_a_wall_does_not_turn_the_robot() {

@@ -127,11 +127,23 @@ fn other_robots_would_have_found_their_way_too() {
         for variant in variants() {
             write(&variant, &log, &bag);
             let [bag, tum, relations] = [&bag, &tum, &relations].map(|path| path.to_str().unwrap());
-            json(&["replay", bag, "--tum", tum, "--json", "--set", &mount]);
-            let result = json(&["evaluate", tum, "--relations", relations, "--json"]);
-            let mean = result["relations"]["trans_m"]["mean"].as_f64().unwrap();
-            eprintln!("{name}, {}: {mean:.3} m", variant.name);
-            assert!(mean <= 3.0 * limit, "{name}, {}: {mean} m", variant.name);
+            let mut mean = |keyframe_distance: &str| {
+                let distance = format!("odometry.keyframe_distance={keyframe_distance}");
+                json(&["replay", bag, "--tum", tum, "--json", "--set", &mount, "--set", &distance]);
+                let result = json(&["evaluate", tum, "--relations", relations, "--json"]);
+                result["relations"]["trans_m"]["mean"].as_f64().unwrap()
+            };
+            // Four degrees from beam to beam: whether places are recognised is chance. One of the two in the middle of four.
+            let is_chance = name == "intel" && variant.name == "every fourth beam";
+            let (found, most) = if is_chance {
+                let mut means = ["0.36", "0.40", "0.44", "0.50"].map(&mut mean);
+                means.sort_by(f64::total_cmp);
+                (means[2], 0.18)
+            } else {
+                (mean("0.4"), 3.0 * limit)
+            };
+            eprintln!("{name}, {}: {found:.3} m", variant.name);
+            assert!(found <= most, "{name}, {}: {found} m", variant.name);
         }
     }
 }

@@ -50,6 +50,10 @@ const DEPENDENCE: f64 = 3.0;
 const AGREEMENT: f32 = 0.07;
 /// The same for poses that are no more than starts, m.
 const ROUGH_AGREEMENT: f32 = 0.12;
+/// No laser and no wall is better than this, m, whatever the pairs show: standard deviation of a range.
+const LEAST_NOISE: f64 = 0.001;
+/// Nor is any wall straighter than this, rad: a centimetre in a metre. What pairs know by less is not claimed.
+const LEAST_TURN: f64 = 0.01;
 /// A direction in which the pairs know so many times what errors of the surfaces' directions feign is not seen at all.
 const FEIGNED: f64 = 4.0;
 
@@ -165,6 +169,8 @@ enum Sum {
     Expected,
     /// `w` by the variance of the surface's direction.
     Feigned,
+    /// `w`.
+    Weights,
     /// `w e^2 / v - w`, by how much the floor is too low, weighed.
     Excess,
     /// The weights of that.
@@ -200,6 +206,7 @@ struct Totals {
     squares: f64,
     expected: f64,
     feigned: f64,
+    weights: f64,
     excess: f64,
     excess_weights: f64,
     residuals: f64,
@@ -212,6 +219,7 @@ impl Totals {
         self.squares += sums.of(Sum::Squares);
         self.expected += sums.of(Sum::Expected);
         self.feigned += sums.of(Sum::Feigned);
+        self.weights += sums.of(Sum::Weights);
         self.excess += sums.of(Sum::Excess);
         self.excess_weights += sums.of(Sum::ExcessWeights);
         self.residuals += sums.of(Sum::Residuals);
@@ -325,6 +333,7 @@ impl Projective {
             add(Sum::Excess as usize, excess_weight, squared.mul_sub(per_square, variance));
             add(Sum::Residuals as usize, inlier, distance);
             sums[Sum::ExcessWeights as usize] += excess_weight;
+            sums[Sum::Weights as usize] += weight;
             sums[Sum::Inliers as usize] += inlier;
             sums[Sum::Pairs as usize] += one;
             let nearest = found.select(distance, f32x8::splat(simd, f32::INFINITY)).min(f32x8::from_slice(simd, distances));
@@ -349,18 +358,20 @@ impl Projective {
     }
 
     /// The translation that the pairs leave open, if any: a unit vector. What errors of the surfaces' directions feign to know of it is
-    /// not knowledge.
-    fn free_direction(&self, pose: &Pose2) -> Option<Point> {
+    /// not knowledge: those of their fits, and so much that no wall is straighter, rad.
+    fn free_direction(&self, pose: &Pose2, crooked: f64) -> Option<Point> {
         let information = 0.5 * self.form.linearize(pose).1;
         let coupling = information.fixed_view::<2, 1>(0, 2);
         let translation = information.fixed_view::<2, 2>(0, 0) - coupling * coupling.transpose() / information.m33;
         let eigen = SymmetricEigen::of(&Matrix2::from(translation));
-        (eigen.values.x < FEIGNED * self.totals.feigned).then_some(eigen.minor)
+        let feigned = self.totals.feigned + crooked * crooked * self.totals.weights;
+        (eigen.values.x < FEIGNED * feigned).then_some(eigen.minor)
     }
 
     /// What holds the pose where the pairs do not.
     fn hold(&self, pose: &Pose2) -> QuadraticForm {
-        let Some(direction) = self.free_direction(pose) else { return QuadraticForm::default() };
+        // Pairs that know little still know more than nothing.
+        let Some(direction) = self.free_direction(pose, 0.0) else { return QuadraticForm::default() };
         let known = self.guess.prior.map_or(self.guess.pose, |prior| prior.pose);
         let mut form = QuadraticForm::default();
         // The line through what is known, at right angles to the direction, as if the pairs that have told of the rest all lay on it.
@@ -369,12 +380,12 @@ impl Projective {
     }
 }
 
-/// What is left of an information matrix when nothing is known along a direction of the translation.
+/// What is left of an information matrix when nothing is known along a direction of the translation: what single precision has left there
+/// of differences of large numbers may be less than zero, too.
 fn without(information: &Matrix3<f64>, direction: &Point) -> Matrix3<f64> {
     let open = Vector3::new(direction.x, direction.y, 0.0);
-    let by_open = information * open;
-    let along = open.dot(&by_open);
-    if along > 0.0 { information - by_open * by_open.transpose() / along } else { *information }
+    let rest = Matrix3::identity() - open * open.transpose();
+    rest * information * rest
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts of rays, and to single precision
@@ -450,6 +461,7 @@ impl Pairing for Projective {
         let views_per_ray = (self.totals.pairs / self.sensed.chosen.len.max(1) as f64).max(1.0);
         self.form = self.form.scaled(views_per_ray.recip());
         self.totals.feigned /= views_per_ray;
+        self.totals.weights /= views_per_ray;
         // One view alone contradicts nothing but the first guess, which says something where there is a prior.
         if self.chosen_views().len() > 1 || self.guess.prior.is_some() {
             self.verdicts.iter_mut().for_each(Verdict::conclude);
@@ -469,25 +481,25 @@ impl Pairing for Projective {
     }
 
     fn uncertainty(&mut self, pose: &Pose2, _metric: Metric) -> Uncertainty {
-        let noise = self.totals.squares / self.totals.expected.max(f64::MIN_POSITIVE);
+        let noise = (self.totals.squares / self.totals.expected.max(f64::MIN_POSITIVE)).max(LEAST_NOISE * LEAST_NOISE);
         let reference_rays: usize = self.chosen_views().iter().map(|placed| placed.view.scan().valid_len()).sum();
         // What the sensed rays that take part add of noise, the reference's have added to the surfaces, all of them.
         let both = 1.0 + self.sensed.chosen.len as f64 / reference_rays.max(1) as f64;
-        let free_direction = self.free_direction(pose);
+        let free_direction = self.free_direction(pose, LEAST_TURN);
         let information = 0.5 * self.form.linearize(pose).1;
-        let mut with_prior = self.form;
-        with_prior += self.prior;
-        let covariance = (0.5 * with_prior.linearize(pose).1).try_inverse().map(|inverse| inverse * noise * both);
-        let open = free_direction.is_some() && self.guess.prior.is_none();
-        let seen = free_direction.map_or(information, |direction| without(&information, &direction));
+        let seen = free_direction.map_or(information, |direction| without(&information, &direction)) / (noise * both);
+        let known = match self.guess.prior {
+            Some(prior) => prior.covariance.try_inverse().map(|by_prior| seen + by_prior),
+            None => Some(seen).filter(|_| free_direction.is_none()),
+        };
         Uncertainty {
-            covariance: covariance.filter(|covariance| !open && covariance.iter().all(|v| v.is_finite())),
+            covariance: known.and_then(Matrix3::try_inverse).filter(|covariance| covariance.iter().all(|v| v.is_finite())),
             condition_number: match free_direction {
                 Some(_) => f64::INFINITY,
                 None => condition_number(&information, self.sensed.mean_range),
             },
             free_direction,
-            information: (noise > 0.0).then(|| seen / (noise * both)),
+            information: Some(seen),
         }
     }
 
@@ -529,6 +541,22 @@ impl Pairing for Projective {
 }
 
 mod rays;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_rounding_feigns_along_an_open_direction_is_not_known() {
+        // A wall along the direction 0.6, 0.8, and a little less than nothing along it.
+        let (wall, open) = (Vector3::new(0.8, -0.6, 3.0), Vector3::new(0.6, 0.8, 0.0));
+        let information = 1e8 * wall * wall.transpose() - 25.0 * open * open.transpose();
+        let left = without(&information, &Point::new(0.6, 0.8));
+        assert!((left * open).norm() < 1e-6, "{left}");
+        let known = left + Matrix3::identity() / 30.0;
+        assert!(known.cholesky().is_some(), "{known}");
+    }
+}
 
 #[cfg(test)]
 mod specification;

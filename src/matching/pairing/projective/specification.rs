@@ -65,6 +65,7 @@ fn specified(
             let totals = &mut all.totals;
             totals.squares += weight * error.powi(2);
             totals.expected += weight * variance;
+            totals.weights += weight;
             totals.feigned += weight * f64::from(turn_variance);
             totals.excess += weight / variance * ((error / noise).powi(2) - variance);
             totals.excess_weights += weight / variance;
@@ -78,6 +79,7 @@ fn specified(
     let views_per_ray = (all.totals.pairs / sensed.len() as f64).max(1.0);
     all.form = all.form.scaled(1.0 / views_per_ray);
     all.totals.feigned /= views_per_ray;
+    all.totals.weights /= views_per_ray;
     let most = if floor > MOST_FLOOR { (GENTLEST * floor).max(MOST_FLOOR) } else { floor };
     let shown = floor + all.totals.excess / all.totals.excess_weights.max(f64::MIN_POSITIVE);
     all.floor = shown.max(STEEPEST * floor).max(LEAST_FLOOR).min(most);
@@ -152,6 +154,7 @@ fn assert_meets(fast: &Projective, plain: &Specified, pose: &Pose2) -> Result<()
     assert_near("squares", a.squares, b.squares, 1e-6 * b.expected)?;
     assert_near("expected", a.expected, b.expected, 0.0)?;
     assert_near("feigned", a.feigned, b.feigned, 0.0)?;
+    assert_near("weights", a.weights, b.weights, 0.0)?;
     assert_near("excess", a.excess, b.excess, b.excess_weights)?;
     assert_near("excess weights", a.excess_weights, b.excess_weights, 0.0)?;
     assert_near("residuals", a.residuals, b.residuals, 1e-3)?;
