@@ -72,15 +72,12 @@ impl Answer {
     ) -> Self {
         let none = PoseCovariance::zeros();
         let predicted = attempt.prediction.covariance;
-        let by_pairs = known.and_then(|known| known.covariance).unwrap_or(predicted);
-        // Where the pairs leave a direction open, what is known of it is the prediction.
-        let together = |alike: f64, of_last: &PoseCovariance| {
-            let prior = attempt.prior(keyframe, of_last).covariance.try_inverse().unwrap_or_default();
-            known.and_then(|known| (known.information? / alike + prior).try_inverse())
-        };
+        let of_match = known.and_then(|known| known.covariance);
         // The noise of rays averages out over the scans; what they have in common stays, and adds up from keyframe to keyframe, as do
         // the steps between two keyframes where they are all that is known.
-        let stays = doubt.factor * together(alike, &attempt.last.covariance_to_keyframe).unwrap_or(by_pairs);
+        let prior = attempt.prior(keyframe, &attempt.last.covariance_to_keyframe).covariance.try_inverse().unwrap_or_default();
+        let with_prior = known.and_then(|known| (known.information? / alike + prior).try_inverse());
+        let stays = doubt.factor * with_prior.or(of_match).unwrap_or(predicted);
         let map_from_laser = keyframe.map_from_laser * *keyframe_from_laser;
         let of_laser = uncertainty::compound(&keyframe.map_from_laser, &keyframe.covariance, keyframe_from_laser, &stays);
         let laser_from_base = attempt.base_from_laser.inverse();
@@ -92,8 +89,8 @@ impl Answer {
         let covariance = uncertainty::compound(&map_from_laser, &of_laser, &laser_from_base, &none) + doubt.covariance;
         Self {
             outcome: Outcome::Matched,
-            step_covariance: uncertainty::turned(&by_pairs, keyframe.map_from_laser.theta),
-            matched_covariance: together(1.0, &none).map(|known| of_base(&known)),
+            step_covariance: uncertainty::turned(&of_match.unwrap_or(predicted), keyframe.map_from_laser.theta),
+            matched_covariance: of_match.map(|of_match| of_base(&of_match)),
             covariance_to_keyframe: of_base(&stays),
             predicted_error: ErrorEstimate::of_covariance(&predicted),
             ..Self::first(map_from_base, covariance)

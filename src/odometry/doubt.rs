@@ -1,5 +1,5 @@
-//! What is doubtful of a match that contradicts the odometry: nobody knows which of the two is wrong. People who walk beside the robot pull a
-//! match along as wheels do that slip.
+//! What is doubtful of a match that contradicts what else is known of the motion: nobody knows which of the two is wrong. People who walk
+//! beside the robot pull a match along as wheels do that slip.
 
 use super::prediction::Prediction;
 use super::source_noise::{SourceNoise, deviation, offset};
@@ -23,13 +23,14 @@ impl Doubt {
         Self { factor: noise.doubt(deviation), covariance: PoseCovariance::zeros() }
     }
 
-    /// The same, when the base has moved by `found` since the keyframe, where it was turned by `heading` on the map, and odometry says
-    /// `said`. Steps that err by little each, but always to the same side, show there: what the two differ by, the pose may be wrong by.
-    pub(super) fn since_keyframe(self, heading: f64, said: &Prediction, found: &Pose2) -> Self {
+    /// The same, where the match has found a motion and something else says another one, both from where the base was turned by `heading`
+    /// on the map: what the two differ by, the pose may be wrong by. Since the last keyframe that shows steps which err by little each, but
+    /// always to the same side.
+    pub(super) fn against(self, said: &Prediction, found: &Pose2, heading: f64) -> Self {
         // Within a standard deviation they do not contradict one another; beyond, the more the difference counts.
         let share = 1.0 - deviation(said, found).max(1.0).powi(-2);
         let difference = offset(said, found);
-        Self { covariance: turned(&(share * difference * difference.transpose()), heading), ..self }
+        Self { covariance: self.covariance + turned(&(share * difference * difference.transpose()), heading), ..self }
     }
 }
 
@@ -45,7 +46,7 @@ mod tests {
         let motion = Pose2::new(said, 0.0, 0.0);
         let said = Prediction { motion, covariance: of_wheels(&motion, 0.1) };
         let found = Pose2::new(found, 0.0, 0.0);
-        Doubt::of_step(SourceNoise::default(), Some(&said), &found).since_keyframe(FRAC_PI_2, &said, &found)
+        Doubt::of_step(SourceNoise::default(), Some(&said), &found).against(&said, &found, FRAC_PI_2)
     }
 
     #[test]

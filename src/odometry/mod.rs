@@ -457,16 +457,18 @@ impl LaserOdometry {
         }
     }
 
-    /// What odometry makes doubtful of a match that has found the laser at `map_from_laser`.
+    /// What is doubtful of a match that has found the laser at `map_from_laser`: by odometry, and by how a robot can move.
     fn doubt(&self, keyframe: &Placement, attempt: &Attempt, map_from_laser: &Pose2, stamp: Stamp) -> Doubt {
         let laser_from_base = attempt.base_from_laser.inverse();
         let [map_from_base, map_from_keyframe] = [map_from_laser, &keyframe.map_from_laser].map(|laser| *laser * laser_from_base);
-        let step = attempt.last.map_from_base.between(&map_from_base);
-        let doubt = Doubt::of_step(self.noise.odometry, attempt.said.as_ref(), &step);
-        let Some(said) = self.sources.motion_without_imu(keyframe.stamp, stamp) else { return doubt };
-        let covariance = uncertainty::of_wheels(&said, stamp.seconds_since(keyframe.stamp));
-        let said = Prediction { motion: said, covariance };
-        doubt.since_keyframe(map_from_keyframe.theta, &said, &map_from_keyframe.between(&map_from_base))
+        let last = &attempt.last.map_from_base;
+        let step = last.between(&map_from_base);
+        let doubt =
+            Doubt::of_step(self.noise.odometry, attempt.said.as_ref(), &step).against(&attempt.expected, &step, last.theta);
+        let Some(motion) = self.sources.motion_without_imu(keyframe.stamp, stamp) else { return doubt };
+        let covariance = uncertainty::of_wheels(&motion, stamp.seconds_since(keyframe.stamp));
+        let since_keyframe = map_from_keyframe.between(&map_from_base);
+        doubt.against(&Prediction { motion, covariance }, &since_keyframe, map_from_keyframe.theta)
     }
 
     /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register_within`] does it otherwise.
