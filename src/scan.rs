@@ -26,10 +26,8 @@ pub const SHORTEST_RANGE: f64 = 0.1;
 pub const MIN_VALID_FRACTION: f64 = 0.1;
 /// Rays over less than this angle may all read much the same: they face a wall, rad.
 const WIDE: f64 = FRAC_PI_2;
-/// A reading is much the same as another within this part of it ...
-const SAME_PART: f64 = 0.1;
-/// ... and this, m: what short ranges err by.
-const SAME_RANGE: f64 = 0.02;
+/// A reading is much the same as another within this, m: what the ranges of a covered laser vary by.
+const SAME_RANGE: f64 = 0.05;
 /// So many of the rays read the same where the surface that they meet goes along with the laser.
 const ALL_ROUND: f64 = 0.95;
 /// A sweep may exceed a full turn by a beam, which then looks where the first one does, and by this much, rad: the rounding of the
@@ -138,9 +136,7 @@ pub enum ScanError {
         beams: usize,
     },
     /// What is seen is the same in every direction.
-    #[error(
-        "the rays read about {range:.2} m in whatever direction: such a surface goes along with the laser and says nothing of a motion (is the laser covered?)"
-    )]
+    #[error("the rays read about {range:.2} m in whatever direction, which says nothing of a motion (is the laser covered?)")]
     SameAllRound {
         /// What most of them read, m.
         range: f64,
@@ -272,7 +268,7 @@ impl Scan {
         }
         let mut readings: Vec<f64> = self.ranges.iter().copied().filter(|range| !range.is_nan()).collect();
         let Some(median) = quantile(&mut readings, 0.5, f64::total_cmp) else { return Ok(self) };
-        let same = readings.iter().filter(|&range| (range - median).abs() < SAME_PART * median + SAME_RANGE).count();
+        let same = readings.iter().filter(|&range| (range - median).abs() < SAME_RANGE).count();
         if same as f64 >= ALL_ROUND * self.valid as f64 { Err(ScanError::SameAllRound { range: median }) } else { Ok(self) }
     }
 
@@ -488,7 +484,8 @@ impl Reach {
         let alike = |range: f64, marker: f64| range >= (1.0 - Self::ALIKE) * marker;
         self.marker.take_if(|marker| greatest > *marker * (1.0 + Self::ALIKE)); // something was seen beyond it
         let rays = readings().filter(|&range| alike(range, greatest)).count();
-        if self.marker.is_none() && rays as f64 * f64::from(message.angle_increment).abs() > Self::WIDEST_WALLS {
+        let is_wide = rays as f64 * f64::from(message.angle_increment).abs() > Self::WIDEST_WALLS;
+        if self.marker.is_none() && is_wide && rays >= MIN_BEAMS {
             self.marker = Some(greatest);
         }
         self.marker.map_or(limit, |marker| limit.min((1.0 - Self::ALIKE) * marker))
@@ -573,5 +570,7 @@ mod tests {
         assert!(seen(60, |angle| 2.0 / angle.cos()).is_ok(), "a wall before a laser with a narrow view");
         assert!(seen(90, |angle| 0.5 / angle.cos()).is_ok(), "a wall at hand");
         assert!(seen(360, |angle| 1.0 / angle.cos().abs().max(angle.sin().abs())).is_ok(), "in the middle of a square");
+        let in_arena = |angle: f64| 0.2 * angle.cos() + (25.0 - (0.2 * angle.sin()).powi(2)).sqrt();
+        assert!(seen(360, in_arena).is_ok(), "20 cm from the middle of a round arena");
     }
 }

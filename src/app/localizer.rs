@@ -32,6 +32,8 @@ use crate::scan::Scan;
 use crate::time::{Continuity, Stamp, Step};
 use crate::transforms::{Mount, TransformTree, frame_name};
 
+/// After a longer time the robot may be anywhere within its way in this, s: a stamp may also be wrong.
+const LONGEST_GAP: f64 = 10.0;
 /// The last velocity predicts no longer than this, s.
 const LONGEST_GUESS: f64 = 0.5;
 /// Scans of the practice before the first one, for each of some numbers of particles.
@@ -263,7 +265,7 @@ impl Localizer {
         self.filter.plan(observation.len(), &driver);
         if let Some((motion, seconds)) = motion {
             self.twist = Twist2::of_motion(&motion, seconds);
-            self.filter.predict(&motion, seconds);
+            self.filter.predict(&motion, seconds.min(LONGEST_GAP));
         }
         let (belief, stop_reason) = self.filter.update(observation, &mount.base_from_laser, &mut driver);
         (self.last, self.believed) = (Some(stamp), Some(belief.map_from_base));

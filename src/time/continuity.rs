@@ -3,7 +3,7 @@
 
 use super::Stamp;
 
-/// A message so much older than the last one is not late, s.
+/// Scans that are late go on being so for less than this, s.
 const LATEST: f64 = 1.0;
 /// A run that starts again begins where it began, give or take the messages that were lost there, s.
 const BEGINNING: f64 = 0.5;
@@ -31,10 +31,33 @@ pub enum Step {
 pub struct Continuity {
     /// When the run began.
     first: Option<Stamp>,
-    /// The stamp of the scan before, where that was late.
-    late: Option<Stamp>,
+    late: Option<LateScans>,
     /// When time went back in the odometry, whether its pose stayed where it was.
     drives_on: Option<bool>,
+}
+
+/// Scans in order, each from before the scan used last.
+#[derive(Clone, Copy, Debug)]
+struct LateScans {
+    first: Stamp,
+    newest: Stamp,
+    /// How many came after the first.
+    more: u32,
+}
+
+impl LateScans {
+    /// With one more; alone, where that is from before the others.
+    fn and(self, stamp: Stamp) -> Self {
+        if stamp > self.newest { Self { newest: stamp, more: self.more + 1, ..self } } else { Self::of(stamp) }
+    }
+
+    fn of(stamp: Stamp) -> Self {
+        Self { first: stamp, newest: stamp, more: 0 }
+    }
+
+    fn seconds(self) -> f64 {
+        self.newest.seconds_since(self.first)
+    }
 }
 
 impl Continuity {
@@ -46,31 +69,39 @@ impl Continuity {
     /// What `stamp` is to `last`, which is that of the scan used last. `odometry`: the stamp of the newest odometry.
     pub fn step(&mut self, stamp: Stamp, last: Stamp, odometry: Option<Stamp>) -> Step {
         let first = *self.first.get_or_insert(last);
-        let seconds = stamp.seconds_since(last);
-        if seconds > 0.0 {
-            self.late = None;
+        let back = last.seconds_since(stamp);
+        if back < 0.0 {
+            (self.late, self.drives_on) = (None, None);
             return Step::Forward;
         }
-        if seconds < -LATEST && self.starts_again(stamp, first, odometry) {
+        if back == 0.0 {
+            return Step::Same;
+        }
+        let late = self.late.map_or_else(|| LateScans::of(stamp), |late| late.and(stamp));
+        self.late = Some(late);
+        // Odometry that is still of the time before knows of no other; in the end the scans must go on all the same.
+        let odometry_goes_on =
+            self.drives_on.is_none() && odometry.is_some_and(|newest| newest.seconds_since(stamp) > 0.5 * back);
+        if odometry_goes_on && late.seconds() < LATEST {
+            return Step::Late;
+        }
+        if back > LATEST && self.starts_again(late, first) {
             *self = Self::default();
             return Step::NewRun;
         }
-        if let Some(late) = self.late.take_if(|late| stamp > *late) {
-            let new_last = late.offset_by(late.seconds_since(stamp));
-            *self = Self { first: Some(first.offset_by(new_last.seconds_since(last))), ..Self::default() };
-            return Step::SetBack { last: new_last };
+        if late.more == 0 {
+            return Step::Late;
         }
-        if seconds == 0.0 {
-            return Step::Same;
-        }
-        self.late = Some(stamp);
-        Step::Late
+        let new_last = late.first.offset_by(-late.seconds() / f64::from(late.more));
+        *self = Self { first: Some(first.offset_by(new_last.seconds_since(last))), ..Self::default() };
+        Step::SetBack { last: new_last }
     }
 
-    /// Odometry says it, or will do so soon. Without odometry the time does, which is that of the beginning.
-    fn starts_again(&self, stamp: Stamp, first: Stamp, odometry: Option<Stamp>) -> bool {
-        let may_yet_say = self.late.is_none() && odometry.is_some_and(|newest| stamp.seconds_since(newest) < -LATEST);
-        !may_yet_say && self.drives_on.map_or(stamp.seconds_since(first) < BEGINNING, |drives_on| !drives_on)
+    /// Odometry says it. Without, the time does: it is that of the beginning, or that of simulations which begin at zero.
+    fn starts_again(&self, late: LateScans, first: Stamp) -> bool {
+        let since_beginning = late.newest.seconds_since(first);
+        let by_time = since_beginning.abs() < BEGINNING || (since_beginning < 0.0 && late.more > 0);
+        self.drives_on.map_or(by_time, |drives_on| !drives_on)
     }
 }
 
@@ -82,10 +113,10 @@ mod tests {
         Stamp::from_seconds(seconds)
     }
 
-    /// What becomes of scans of these stamps, s, after ten seconds at 10 Hz.
-    fn steps(continuity: &mut Continuity, odometry: Option<f64>, stamps: &[f64]) -> Vec<Step> {
+    /// What becomes of scans of these stamps, s, after ten seconds at 10 Hz. `went_back`: what odometry says when time goes back in it.
+    fn steps(continuity: &mut Continuity, went_back: Option<bool>, odometry: Option<f64>, stamps: &[f64]) -> Vec<Step> {
         let mut last = at(0.0);
-        let mut take = |stamp: f64| {
+        let mut take = |continuity: &mut Continuity, stamp: f64| {
             let step = continuity.step(at(stamp), last, odometry.map(at));
             match step {
                 Step::Forward | Step::NewRun | Step::SetBack { .. } => last = at(stamp),
@@ -93,13 +124,17 @@ mod tests {
             }
             step
         };
-        assert!((1..=100).all(|i| take(f64::from(i) * 0.1) == Step::Forward));
-        stamps.iter().map(|&stamp| take(stamp)).collect()
+        assert!((1..=100).all(|i| take(continuity, f64::from(i) * 0.1) == Step::Forward));
+        went_back.into_iter().for_each(|drives_on| continuity.odometry_went_back(drives_on));
+        stamps.iter().map(|&stamp| take(continuity, stamp)).collect()
+    }
+
+    fn alone(stamps: &[f64]) -> Vec<Step> {
+        steps(&mut Continuity::default(), None, None, stamps)
     }
 
     #[test]
     fn one_scan_is_late_and_two_in_order_are_a_clock_that_was_set() {
-        let alone = |stamps: &[f64]| steps(&mut Continuity::default(), None, stamps);
         assert_eq!(alone(&[9.9, 10.1, 10.1]), [Step::Late, Step::Forward, Step::Same]);
         for back in [0.3, 0.9, 1.5, 6.0] {
             let set_back = Step::SetBack { last: at(10.0 - back) };
@@ -110,22 +145,24 @@ mod tests {
 
     #[test]
     fn a_run_that_starts_again_does_so_at_its_beginning() {
-        assert_eq!(steps(&mut Continuity::default(), None, &[0.2, 0.3]), [Step::NewRun, Step::Forward]);
+        assert_eq!(alone(&[0.2, 0.3]), [Step::NewRun, Step::Forward]);
+        assert_eq!(alone(&[-50.0, -49.9]), [Step::Late, Step::NewRun], "a simulation anew");
+        assert_eq!(alone(&[-50.0, 10.1]), [Step::Late, Step::Forward], "a stamp of nothing");
         let mut set_twice = Continuity::default();
-        steps(&mut set_twice, None, &[7.1, 7.2]);
-        assert_eq!(set_twice.step(at(-2.8), at(7.2), None), Step::NewRun, "by the new time it began at -3 s");
+        steps(&mut set_twice, None, None, &[7.1, 7.2]);
+        assert_eq!(set_twice.step(at(-2.9), at(7.2), None), Step::NewRun, "by the new time it began at -3 s");
     }
 
     #[test]
     fn odometry_knows_better() {
-        let mut drives_on = Continuity::default();
-        drives_on.odometry_went_back(true);
-        assert_eq!(steps(&mut drives_on, Some(0.1), &[0.2])[0], Step::Late);
-        let mut is_put_back = Continuity::default();
-        is_put_back.odometry_went_back(false);
-        assert_eq!(steps(&mut is_put_back, Some(5.0), &[5.0])[0], Step::NewRun);
-        // The odometry is still of the time before.
-        let waits = steps(&mut Continuity::default(), Some(10.0), &[0.2, 0.3, 0.4]);
-        assert_eq!(waits, [Step::Late, Step::NewRun, Step::Forward]);
+        let told = |drives_on, stamps| steps(&mut Continuity::default(), Some(drives_on), Some(0.1), stamps);
+        assert_eq!(told(true, &[0.2, 0.3]), [Step::Late, Step::SetBack { last: at(0.1) }]);
+        assert_eq!(told(false, &[5.0]), [Step::NewRun]);
+        // The odometry is of the time before: scans are late, in whatever order and number, but not for ever.
+        let untold = |stamps: &[f64]| steps(&mut Continuity::default(), None, Some(10.0), stamps);
+        let late = untold(&[9.4, 9.5, 0.0, 0.1, 10.1]);
+        assert_eq!(late, [Step::Late, Step::Late, Step::Late, Step::Late, Step::Forward]);
+        let waited = untold(&(0..14).map(|i| 5.0 + f64::from(i) * 0.1).collect::<Vec<_>>());
+        assert!(waited.iter().filter(|step| matches!(step, Step::SetBack { .. })).count() == 1, "{waited:?}");
     }
 }
