@@ -125,7 +125,9 @@ mod tests {
             step
         };
         assert!((1..=100).all(|i| take(continuity, f64::from(i) * 0.1) == Step::Forward));
-        went_back.into_iter().for_each(|drives_on| continuity.odometry_went_back(drives_on));
+        if let Some(drives_on) = went_back {
+            continuity.odometry_went_back(drives_on);
+        }
         stamps.iter().map(|&stamp| take(continuity, stamp)).collect()
     }
 

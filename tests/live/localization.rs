@@ -398,7 +398,7 @@ fn the_robot_is_found_from_anywhere_at_40_scans_a_second() {
     };
     let claims: Vec<&FilterReport> = heard.reports.iter().filter(|report| report.localized).collect();
     let first = claims.first().map(|report| Stamp::from(report.header.stamp).seconds_since(drive.start));
-    println!(
+    eprintln!(
         "found after {first:?} s; {} of {} claims are right",
         claims.iter().filter(|claim| is_right(claim)).count(),
         claims.len()

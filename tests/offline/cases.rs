@@ -210,10 +210,10 @@ fn along_a_wall_without_odometry_the_covariance_says_that_nothing_is_known() {
     let Some(poses) = poses("rosify_laser", &["--scan-topic", "laser_scan"]) else { return };
     let stamps: Vec<&str> = poses.lines().filter_map(|line| line.split(' ').next()).collect();
     let (first, last) = (&stamps[..1], &stamps[stamps.len() - 20..]);
-    let at_the_start: String = first.iter().chain(last).map(|stamp| format!("{stamp} 0 0 0 0 0 0 1\n")).collect();
+    let at_the_start: Vec<String> = first.iter().chain(last).map(|stamp| format!("{stamp} 0 0 0 0 0 0 1\n")).collect();
     let folder = tempfile::tempdir().unwrap();
     let truth = folder.path().join("truth.tum");
-    std::fs::write(&truth, at_the_start).unwrap();
+    std::fs::write(&truth, at_the_start.concat()).unwrap();
     let arguments = ["--scan-topic", "laser_scan", "--truth", truth.to_str().unwrap()];
     let summary = replay("rosify_laser", "", &arguments).unwrap();
     assert!(summary["consistency"]["positions_within"].as_f64().unwrap() > 0.75, "{summary}");
