@@ -48,8 +48,14 @@ pub trait KnobValue: Sized {
     }
 }
 
-fn expected(kind: impl Display, value: &Value) -> String {
+/// The error for a value of another kind.
+pub(crate) fn expected(kind: impl Display, value: &Value) -> String {
     format!("expected {kind}, got {value}")
+}
+
+/// The numbers of a list, where it is one of finite numbers.
+pub(crate) fn numbers(value: &Value) -> Option<Vec<f64>> {
+    value.as_array()?.iter().map(|number| number.as_f64().filter(|number| number.is_finite())).collect()
 }
 
 impl KnobValue for bool {
@@ -160,9 +166,8 @@ impl<T: KnobValue> KnobValue for Option<T> {
 /// `[x, y, yaw]`, metres and radians.
 impl KnobValue for crate::geometry::Pose2 {
     fn from_value(value: &Value) -> Result<Self, String> {
-        let numbers: Option<Vec<f64>> = value.as_array().and_then(|items| items.iter().map(Value::as_f64).collect());
-        match numbers.as_deref() {
-            Some(&[x, y, yaw]) if [x, y, yaw].iter().all(|v| v.is_finite()) => Ok(Self::new(x, y, yaw)),
+        match numbers(value).as_deref() {
+            Some(&[x, y, yaw]) => Ok(Self::new(x, y, yaw)),
             _ => Err(expected(Self::kind(), value)),
         }
     }

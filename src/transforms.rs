@@ -8,7 +8,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use crate::geometry::Pose2;
-use crate::knobs::KnobValue;
+use crate::knobs::{KnobValue, expected, numbers};
 use crate::messages::geometry_msgs;
 use crate::messages::tf2_msgs::TFMessage;
 
@@ -80,12 +80,10 @@ impl From<Pose2> for LaserPlace {
 
 impl KnobValue for LaserPlace {
     fn from_value(value: &Value) -> Result<Self, String> {
-        let numbers: Option<Vec<f64>> =
-            value.as_array().and_then(|items| items.iter().map(|item| item.as_f64().filter(|v| v.is_finite())).collect());
-        match numbers.as_deref() {
+        match numbers(value).as_deref() {
             Some(&[x, y, yaw]) => Ok(Pose2::new(x, y, yaw).into()),
             Some(&[x, y, yaw, roll]) => Ok(Self { roll: Some(roll), ..Pose2::new(x, y, yaw).into() }),
-            _ => Err(format!("expected {}, got {value}", Self::kind())),
+            _ => Err(expected(Self::kind(), value)),
         }
     }
 

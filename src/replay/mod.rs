@@ -120,12 +120,14 @@ pub struct ReplayLog {
 impl ReplayLog {
     const KEPT: usize = 10;
 
-    /// Why there is nothing to show: what was unusable, and what the bag lost. Empty if unknown.
-    pub fn reasons(&self, bag: &Bag) -> String {
-        let unusable =
+    /// Why there is nothing to show: what was wrong with the `unusable` scans; if nothing, which messages were unusable, and what the bag
+    /// lost. Empty if unknown.
+    pub fn reasons(&self, bag: &Bag, unusable: &[String]) -> String {
+        let messages =
             self.problems.first().map(|first| format!("{} unusable messages, the first: {first}", self.unusable_messages));
-        let lost = bag.problems().iter().map(ToString::to_string).collect::<Vec<_>>();
-        let reasons: Vec<String> = unusable.into_iter().chain(lost).collect();
+        let lost = bag.problems();
+        let of_messages = messages.into_iter().chain(lost.iter().map(ToString::to_string));
+        let reasons: Vec<String> = if unusable.is_empty() { of_messages.collect() } else { unusable.to_vec() };
         if reasons.is_empty() { String::new() } else { format!(": {}", reasons.join("; ")) }
     }
 

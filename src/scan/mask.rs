@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use crate::geometry::Point;
-use crate::knobs::{KnobValue, Value};
+use crate::knobs::{KnobValue, Value, expected, numbers};
 
 crate::knobs! {
     /// Which rays of a scan count: for the matcher, the particle filter and maps alike.
@@ -35,17 +35,13 @@ pub struct Sectors(pub Vec<Sector>);
 
 impl KnobValue for Sectors {
     fn from_value(value: &Value) -> Result<Self, String> {
-        let sector = |value: &Value| {
-            let numbers: Option<Vec<f64>> =
-                value.as_array()?.iter().map(|number| number.as_f64().filter(|n| n.is_finite())).collect();
-            match numbers?[..] {
-                [from, to] => Some(Sector { from, to, range: None }),
-                [from, to, range] if range > 0.0 => Some(Sector { from, to, range: Some(range) }),
-                _ => None,
-            }
+        let sector = |value: &Value| match numbers(value)?[..] {
+            [from, to] => Some(Sector { from, to, range: None }),
+            [from, to, range] if range > 0.0 => Some(Sector { from, to, range: Some(range) }),
+            _ => None,
         };
         let sectors: Option<Vec<Sector>> = value.as_array().and_then(|sectors| sectors.iter().map(sector).collect());
-        sectors.map(Self).ok_or_else(|| format!("expected {}, got {value}", Self::kind()))
+        sectors.map(Self).ok_or_else(|| expected(Self::kind(), value))
     }
 
     fn to_value(&self) -> Value {

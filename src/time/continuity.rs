@@ -17,9 +17,9 @@ pub enum Step {
     Same,
     /// Earlier: a scan out of order, unless the next one goes on from there.
     Late,
-    /// The second in order of an earlier time: somebody has set the clock, and the robot drives on.
+    /// One of several in order, all of an earlier time: somebody has set the clock, and the robot drives on.
     SetBack {
-        /// When the last scan was taken, by the new time: about as long before the first scan of it as the second is after that one.
+        /// When the last scan was taken, by the new time: as long before the first scan of it as they are apart.
         last: Stamp,
     },
     /// The first of a run that starts again, as a bag played in a loop does.

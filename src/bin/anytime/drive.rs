@@ -14,7 +14,6 @@ use anytime_scan_matcher::drive::flaws::FlawKnobs;
 use anytime_scan_matcher::drive::processor::Load;
 use anytime_scan_matcher::drive::study::{Late, Study, to_text};
 use anytime_scan_matcher::knobs::{KnobGroup as _, KnobValue, Seconds, Value};
-use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::lidar::LidarKnobs;
 use anytime_scan_matcher::simulation::odometer::OdometerKnobs;
 use clap::Args;
@@ -24,6 +23,7 @@ use crate::input_flags::Files;
 use crate::knob_flags::{help, set, value};
 use crate::outcome::usage;
 use crate::progress;
+use crate::simulation_flags::check_world;
 
 /// Drive a simulated racecar by its own pose estimates: simulator, estimator and follower in one process, on a modelled clock
 #[derive(Args)]
@@ -114,11 +114,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     check_files(arguments)?;
     // Drives share the cores, a core each.
     config.localization.threads = 1;
-    if let Err(expected) = BuiltIn::from_value(&arguments.world.as_str().into())
-        && !Path::new(&arguments.world).exists()
-    {
-        return Err(usage(format!("--world: {expected}, and there is no map of that name")));
-    }
+    check_world(&arguments.world)?;
     let course = Course::load(&arguments.world, arguments.path.as_deref())?;
     let loads =
         arguments.slowdown.iter().flat_map(|&slowdown| arguments.bursts.iter().map(move |&bursts| Load { slowdown, bursts }));

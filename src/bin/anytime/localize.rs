@@ -82,14 +82,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     if arguments.global {
         localizer.spread();
     } else {
-        let asked_for = arguments.initial_pose.map(|pose| ("--initial-pose", pose));
-        if let Some((name, pose)) = asked_for.or(config.localization.initial_pose.map(|pose| ("localization.initial_pose", pose)))
-        {
-            localizer.check_place(&pose).map_err(|error| usage(format!("{name}: {error}")))?;
+        let by_flag = arguments.initial_pose.map(|pose| ("--initial-pose", pose));
+        let told = by_flag.or(config.localization.initial_pose.map(|pose| ("localization.initial_pose", pose)));
+        if let Some((name, pose)) = &told {
+            localizer.check_place(pose).map_err(|error| usage(format!("{name}: {error}")))?;
         }
         let first_truth = truth.as_ref().map(|truth| truth.ends().0.pose);
-        let start = arguments.initial_pose.or(config.localization.initial_pose).or(first_truth);
-        localizer.start_at(&start.unwrap_or_default(), None);
+        localizer.start_at(&told.map(|(_, pose)| pose).or(first_truth).unwrap_or_default(), None);
     }
     let mut records = Records::create(arguments, &config.frames.map_frame)?;
     let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
@@ -97,8 +96,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let log = localize::<anyhow::Error>(&bag, &topics, &mut localizer, &*clock, tick, |answer, _| records.add(answer))?;
     progress.finish_and_clear();
     if records.summary.poses().is_empty() {
-        let unused = records.summary.unused();
-        let why = if unused.is_empty() { log.reasons(&bag) } else { format!(": {}", unused.join("; ")) };
+        let why = log.reasons(&bag, &records.summary.unused());
         bail!("{}: no scan on {} could be used{why}", arguments.bag.display(), topics.scan);
     }
     let summary = records.finish()?;

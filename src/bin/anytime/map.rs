@@ -164,8 +164,7 @@ impl Survey {
         self.stages.replay += clock.now().saturating_sub(start).saturating_sub(mapping);
         let unusable = failures.unusable().in_words(scans);
         if self.mapper.keyframes().len() == before {
-            let why = if unusable.is_empty() { log.reasons(&bag) } else { format!(": {}", unusable.join("; ")) };
-            bail!("{}: no scan on {} could be used{why}", path.display(), topics.scan);
+            bail!("{}: no scan on {} could be used{}", path.display(), topics.scan, log.reasons(&bag, &unusable));
         }
         let assumed = (app.mount().1 == MountSource::Assumed).then(|| {
             "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)".into()

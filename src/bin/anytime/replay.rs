@@ -41,7 +41,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let log = replay::<RecordError>(&source, &mut app, &*clock, tick, |scan, estimate, app| recorder.add(scan, estimate, app))?;
     progress.finish_and_clear();
     if recorder.summary().poses().is_empty() {
-        anyhow::bail!("{}: no scan on {} could be read{}", arguments.bag.display(), topics.scan, log.reasons(&bag));
+        anyhow::bail!("{}: no scan on {} could be read{}", arguments.bag.display(), topics.scan, log.reasons(&bag, &[]));
     }
     recorder.finish()?;
     app.store_costs()?;

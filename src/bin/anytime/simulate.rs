@@ -17,8 +17,7 @@ use serde_json::json;
 
 use crate::input_flags::Files;
 use crate::knob_flags::help;
-use crate::outcome::usage;
-use crate::simulation_flags::SimulationFlags;
+use crate::simulation_flags::{SimulationFlags, check_world};
 
 /// Drive a simulated racecar and write its scans and odometry to a bag
 #[derive(Args)]
@@ -75,11 +74,9 @@ pub(crate) fn drive(
 }
 
 fn scene(world: &str, seed: u32) -> anyhow::Result<Scene> {
+    check_world(world)?;
     match BuiltIn::from_value(&world.into()) {
         Ok(which) => Ok(Scene::built_in(which)?),
-        Err(expected) if !Path::new(world).exists() => {
-            Err(usage(format!("--world: {expected}, and there is no map of that name")))
-        }
         Err(expected) => {
             let map = map_file::read(Path::new(world)).with_context(|| format!("--world: {expected}, or a map"))?;
             Scene::in_map(map, seed).with_context(|| format!("--world {world}"))

@@ -1,6 +1,9 @@
 //! The flags that set knobs of the simulation.
 
-use anytime_scan_matcher::knobs::Value;
+use std::path::Path;
+
+use anytime_scan_matcher::knobs::{KnobValue as _, Value};
+use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{DriveKnobs, Settings};
 use anytime_scan_matcher::simulation::lidar::LidarKnobs;
 use anytime_scan_matcher::simulation::odometer::OdometerKnobs;
@@ -9,6 +12,17 @@ use anytime_scan_matcher::simulation::vehicle::VehicleKnobs;
 use clap::Args;
 
 use crate::knob_flags::{help, set, value};
+use crate::outcome::usage;
+
+/// Refuses a `--world` that is neither built in nor a file.
+pub(crate) fn check_world(name: &str) -> anyhow::Result<()> {
+    match BuiltIn::from_value(&name.into()) {
+        Err(expected) if !Path::new(name).exists() => {
+            Err(usage(format!("--world: {expected}, and there is no map of that name")))
+        }
+        _ => Ok(()),
+    }
+}
 
 #[derive(Args)]
 pub(crate) struct SimulationFlags {
