@@ -4,6 +4,7 @@
 //! the struct that the code reads, the YAML file, the ROS parameters, `--set` and docs/parameters.md; [`crate::config`] composes
 //! the groups.
 
+use std::f64::consts::TAU;
 use std::fmt::Display;
 
 /// A parameter value before it is checked: what YAML, the ROS parameter server and `--set` have in common.
@@ -167,7 +168,7 @@ impl<T: KnobValue> KnobValue for Option<T> {
 impl KnobValue for crate::geometry::Pose2 {
     fn from_value(value: &Value) -> Result<Self, String> {
         match numbers(value).as_deref() {
-            Some(&[x, y, yaw]) => Ok(Self::new(x, y, yaw)),
+            Some(&[x, y, yaw]) => Ok(Self::new(x, y, radians(yaw)?)),
             _ => Err(expected(Self::kind(), value)),
         }
     }
@@ -177,6 +178,14 @@ impl KnobValue for crate::geometry::Pose2 {
     fn kind() -> String {
         "[x, y, yaw]".into()
     }
+}
+
+/// An angle that a person has written: one of more than a full turn was meant in degrees.
+pub(crate) fn radians(angle: f64) -> Result<f64, String> {
+    if angle.abs() > TAU {
+        return Err(format!("an angle of {angle} is more than a full turn: radians are expected, 90 degrees are 1.5708"));
+    }
+    Ok(angle)
 }
 
 /// The candidate nearest to a mistyped `name`, if one is near enough to be what was meant.

@@ -51,13 +51,16 @@ pub enum Oddity {
         /// Number that the angles give.
         expected: f64,
     },
-    /// The time between two rays is no number, or one by which a sweep takes more than a second.
+    /// The time between two rays is no number, or one by which a sweep takes longer than there is from one scan to the next.
     #[error(
-        "time_increment is {value}: ignored, all rays are taken to be of one moment (odometry.scan_duration can say how long a sweep takes)"
+        "time_increment is {value}, but a sweep cannot take {seconds:.3} s: ignored, all rays are taken to be of one moment \
+         (odometry.scan_duration can say how long a sweep takes)"
     )]
     TimeIncrement {
         /// Its value.
         value: f64,
+        /// How long a sweep would take, s.
+        seconds: f64,
     },
     /// A number that nothing depends on is none.
     #[error("{field} is {value}: ignored")]
@@ -386,6 +389,7 @@ impl Scan {
 pub struct ScanConverter {
     beams: Option<Arc<BeamGeometry>>,
     reach: Reach,
+    pace: Pace,
     mask: Mask,
     said: HashSet<Discriminant<Oddity>>,
     oddities: Vec<Oddity>,
@@ -406,6 +410,7 @@ impl ScanConverter {
     pub fn convert(&mut self, message: &LaserScan, upside_down: bool) -> Result<Scan, ScanError> {
         let side = if upside_down { -1.0 } else { 1.0 };
         check_header(message)?;
+        self.pace.add(message);
         self.note_oddities(message);
         let angle_min = side * f64::from(message.angle_min);
         let angle_increment = side * f64::from(message.angle_increment);
@@ -417,7 +422,7 @@ impl ScanConverter {
         let limits = (f64::from(message.range_min), range_max.next_down());
         let ranges = message.ranges.iter().map(|&range| f64::from(range));
         let scan = Scan::new(message.header.stamp.into(), beams, limits, ranges)?.masked(&self.mask)?;
-        Ok(scan.with_time_increment(if is_sweep(message) { message.time_increment.into() } else { 0.0 }))
+        Ok(scan.with_time_increment(if self.is_sweep(message) { message.time_increment.into() } else { 0.0 }))
     }
 
     /// What was odd in the messages since the last call, each kind of it once.
@@ -442,12 +447,17 @@ impl ScanConverter {
         if !message.scan_time.is_finite() {
             self.note(Oddity::Ignored { field: "scan_time", value: message.scan_time.into() });
         }
-        if !is_sweep(message) {
-            self.note(Oddity::TimeIncrement { value: message.time_increment.into() });
+        if !self.is_sweep(message) {
+            self.note(Oddity::TimeIncrement { value: message.time_increment.into(), seconds: sweep(message) });
         }
         if intensities != 0 && intensities != beams {
             self.note(Oddity::Intensities { ranges: beams, intensities });
         }
+    }
+
+    /// Whether its rays can have been taken one after the other as it says.
+    fn is_sweep(&self, message: &LaserScan) -> bool {
+        sweep(message) <= self.pace.longest().min(LONGEST_SWEEP)
     }
 
     fn beams(&mut self, angle_min: f64, angle_increment: f64, len: usize) -> Arc<BeamGeometry> {
@@ -492,9 +502,47 @@ impl Reach {
     }
 }
 
-/// Whether its rays can have been taken one after the other as it says.
-fn is_sweep(message: &LaserScan) -> bool {
-    f64::from(message.time_increment).abs() * message.ranges.len() as f64 <= LONGEST_SWEEP
+/// How long its rays have taken one after the other as it says, s.
+fn sweep(message: &LaserScan) -> f64 {
+    f64::from(message.time_increment).abs() * message.ranges.len() as f64
+}
+
+/// How a laser's scans follow one another: a sweep begins when the one before is over.
+#[derive(Debug, Default)]
+struct Pace {
+    frame: String,
+    stamp: Option<Stamp>,
+    /// Times between the last scans that the same laser took in a row, s.
+    intervals: [f64; Self::KEPT],
+    /// How many there have been.
+    count: usize,
+}
+
+impl Pace {
+    const KEPT: usize = 10;
+    /// So many tell how long a sweep can take: stamps of two scans may be too near to one another.
+    const ENOUGH: usize = 3;
+    /// Clocks of laser and computer differ by less, as a part.
+    const TOLERANCE: f64 = 0.1;
+
+    fn add(&mut self, message: &LaserScan) {
+        let stamp = message.header.stamp.into();
+        if self.frame != message.header.frame_id {
+            *self = Self { frame: message.header.frame_id.clone(), ..Self::default() };
+        }
+        let since_last = self.stamp.replace(stamp).map(|last| stamp.seconds_since(last));
+        if let Some(seconds) = since_last.filter(|seconds| *seconds > 0.0) {
+            self.intervals[self.count % Self::KEPT] = seconds;
+            self.count += 1;
+        }
+    }
+
+    /// No sweep takes longer, s.
+    fn longest(&self) -> f64 {
+        let known = &self.intervals[..self.count.min(Self::KEPT)];
+        let longest = known.iter().fold(0.0, |longest: f64, seconds| longest.max(*seconds));
+        if known.len() < Self::ENOUGH { f64::INFINITY } else { longest * (1.0 + Self::TOLERANCE) }
+    }
 }
 
 fn check_header(message: &LaserScan) -> Result<(), ScanError> {

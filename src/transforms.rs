@@ -8,7 +8,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use crate::geometry::Pose2;
-use crate::knobs::{KnobValue, expected, numbers};
+use crate::knobs::{KnobValue, expected, numbers, radians};
 use crate::messages::geometry_msgs;
 use crate::messages::tf2_msgs::TFMessage;
 
@@ -81,8 +81,8 @@ impl From<Pose2> for LaserPlace {
 impl KnobValue for LaserPlace {
     fn from_value(value: &Value) -> Result<Self, String> {
         match numbers(value).as_deref() {
-            Some(&[x, y, yaw]) => Ok(Pose2::new(x, y, yaw).into()),
-            Some(&[x, y, yaw, roll]) => Ok(Self { roll: Some(roll), ..Pose2::new(x, y, yaw).into() }),
+            Some(&[x, y, yaw]) => Ok(Pose2::new(x, y, radians(yaw)?).into()),
+            Some(&[x, y, yaw, roll]) => Ok(Self { roll: Some(radians(roll)?), ..Pose2::new(x, y, radians(yaw)?).into() }),
             _ => Err(expected(Self::kind(), value)),
         }
     }
@@ -179,9 +179,13 @@ impl TransformTree {
         })
     }
 
-    /// Refuses a laser whose sweep does not go along the floor, which is level in the frame that all others hang from.
-    pub fn check_level(&self, laser: &str) -> Result<(), TiltedMount> {
-        self.root(laser).map_or(Ok(()), |(root, root_from_laser)| Mount::of(&root_from_laser).check_level(root, laser))
+    /// Refuses a laser whose sweep does not go along the floor: that of the first of these `bases` which it hangs from; where there is none,
+    /// of the frame that all others hang from.
+    pub fn check_level(&self, bases: &[&str], laser: &str) -> Result<(), TiltedMount> {
+        let carriers = self.ancestors(laser);
+        let is_base = |(frame, _): &&(&str, Isometry3<f64>)| bases.iter().any(|base| frame_name(base) == *frame);
+        let carrier = carriers.iter().find(is_base).or(carriers.last());
+        carrier.map_or(Ok(()), |(frame, frame_from_laser)| Mount::of(frame_from_laser).check_level(frame, laser))
     }
 
     /// The place of `inner` in the frame `outer`, when they are connected without any of the frames that either is `moving` in.

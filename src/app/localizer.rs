@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use super::initial_pose::InitialPose;
 use super::intake::{Intake, Unusable};
+use super::motion_by_scans::MotionByScans;
 use super::sensed::Sensed;
 use super::{Answering, InputError, MountSource, planar_pose};
 use crate::anytime::clock::Clock;
@@ -106,6 +107,7 @@ pub struct Localizer {
     interrupt: Arc<dyn Interrupt>,
     filter: ParticleFilter,
     sources: MotionSources,
+    by_scans: MotionByScans,
     /// A pose that was set and its covariance, until the first scan after it.
     initial_pose: Option<InitialPose<(Pose2, PoseCovariance)>>,
     /// Stamp of the scan used last; before the first one, of the first that was of no use: the robot's motion counts from there.
@@ -115,6 +117,8 @@ pub struct Localizer {
     stamps: Continuity,
     twist: Twist2,
     without_odometry: u64,
+    clock_steps: u64,
+    new_runs: u64,
     deadline_misses: u64,
 }
 
@@ -126,12 +130,15 @@ impl Localizer {
             intake: Intake::new(config, clock)?,
             interrupt: Arc::new(Never),
             sources: MotionSources::default(),
+            by_scans: MotionByScans::new(config),
             initial_pose: None,
             last: None,
             believed: None,
             stamps: Continuity::default(),
             twist: Twist2::default(),
             without_odometry: 0,
+            clock_steps: 0,
+            new_runs: 0,
             deadline_misses: 0,
         })
     }
@@ -206,8 +213,8 @@ impl Localizer {
             arrival,
             refined: None,
         };
-        fix.belief = self.observe(stamp, read).map(|observation| {
-            let (belief, stop_reason, refined) = self.take_in(observation, task, interrupt);
+        fix.belief = self.newer(stamp, read).map(|scan| {
+            let (belief, stop_reason, refined) = self.take_in(&scan, task, interrupt);
             (fix.stop_reason, fix.refined) = (Some(stop_reason), refined);
             belief
         });
@@ -215,20 +222,12 @@ impl Localizer {
         fix
     }
 
-    /// What a scan shows, if it is new.
-    fn observe(
-        &mut self,
-        stamp: Stamp,
-        read: impl FnOnce(&mut Intake) -> Result<Scan, Unusable>,
-    ) -> Result<Observation, NoEvidence> {
+    /// The scan, if it is new.
+    fn newer(&mut self, stamp: Stamp, read: impl FnOnce(&mut Intake) -> Result<Scan, Unusable>) -> Result<Scan, NoEvidence> {
         let scan = read(&mut self.intake).inspect_err(|_| {
             self.last.get_or_insert(stamp);
         })?;
-        if !self.is_new(stamp) {
-            return Err(NoEvidence::NotNewer);
-        }
-        let straightened = self.straightened(&scan);
-        Ok(Observation::new(straightened.as_ref().unwrap_or(&scan), self.intake.config.sensor.beams as usize))
+        if self.is_new(stamp) { Ok(scan) } else { Err(NoEvidence::NotNewer) }
     }
 
     /// The scan without the distortion by the motion during its sweep, where there is any.
@@ -245,26 +244,31 @@ impl Localizer {
         let Some(last) = self.last else { return true };
         match self.stamps.step(stamp, last, self.sources.last_wheel_stamp()) {
             Step::Forward => {}
-            Step::SetBack { last } => self.last = Some(last),
-            Step::NewRun => self.last = None,
+            Step::SetBack { last } => {
+                self.clock_steps += 1;
+                self.last = Some(last);
+            }
+            Step::NewRun => {
+                self.new_runs += 1;
+                self.last = None;
+            }
             Step::Same | Step::Late => return false,
         }
         true
     }
 
-    fn take_in(
-        &mut self,
-        observation: Observation,
-        task: Task,
-        interrupt: &dyn Interrupt,
-    ) -> (Belief, StopReason, Option<Duration>) {
-        let stamp = observation.stamp;
-        let motion = self.last.map(|last| (self.motion(last, stamp), stamp.seconds_since(last)));
+    fn take_in(&mut self, scan: &Scan, task: Task, interrupt: &dyn Interrupt) -> (Belief, StopReason, Option<Duration>) {
+        let stamp = scan.stamp();
+        let motion = self.last.map(|last| (self.motion(last, scan, task, interrupt), stamp.seconds_since(last)));
+        if let Some((motion, seconds)) = motion {
+            self.twist = Twist2::of_motion(&motion, seconds);
+        }
+        let straightened = self.straightened(scan);
+        let observation = Observation::new(straightened.as_ref().unwrap_or(scan), self.intake.config.sensor.beams as usize);
         let Intake { clock, costs, mount, .. } = &mut self.intake;
         let mut driver = Driver::new(task, &**clock, interrupt, costs);
         self.filter.plan(observation.len(), &driver);
         if let Some((motion, seconds)) = motion {
-            self.twist = Twist2::of_motion(&motion, seconds);
             self.filter.predict(&motion, seconds.min(LONGEST_GAP));
         }
         let (belief, stop_reason) = self.filter.update(observation, &mount.base_from_laser, &mut driver);
@@ -275,11 +279,14 @@ impl Localizer {
         (belief, stop_reason, driver.refined())
     }
 
-    /// By odometry; where it is silent, as before.
-    fn motion(&mut self, from: Stamp, to: Stamp) -> Pose2 {
+    /// The motion of the base since the scan taken at `from`: by odometry; where it is silent, by the scans; at the first of those, as before.
+    fn motion(&mut self, from: Stamp, scan: &Scan, task: Task, interrupt: &dyn Interrupt) -> Pose2 {
+        let to = scan.stamp();
         self.sources.motion(from, to).unwrap_or_else(|| {
             self.without_odometry += 1;
-            self.twist.motion(to.seconds_since(from).min(LONGEST_GUESS))
+            let Intake { clock, mount, .. } = &self.intake;
+            let by_scans = self.by_scans.motion(scan, &mount.base_from_laser, from, task, (&**clock, interrupt));
+            by_scans.unwrap_or_else(|| self.twist.motion(to.seconds_since(from).min(LONGEST_GUESS)))
         })
     }
 
@@ -378,6 +385,16 @@ impl Localizer {
     /// Scans that odometry did not cover.
     pub fn without_odometry(&self) -> u64 {
         self.without_odometry
+    }
+
+    /// Steps back of the clock after which the robot drove on.
+    pub fn clock_steps(&self) -> u64 {
+        self.clock_steps
+    }
+
+    /// Runs that began because time went back.
+    pub fn new_runs(&self) -> u64 {
+        self.new_runs
     }
 
     /// Answers later than the time budget.

@@ -6,6 +6,7 @@ mod initial_pose;
 mod intake;
 pub mod localizer;
 pub mod map_message;
+mod motion_by_scans;
 mod report;
 pub mod sensed;
 mod warm_up;
@@ -198,6 +199,15 @@ pub enum MountSource {
     Transforms,
     /// Nowhere: taken to be at the base's origin.
     Assumed,
+}
+
+impl MountSource {
+    /// What the user of a bag should know of it, with the remedy.
+    pub fn reservation(self) -> Option<&'static str> {
+        (self == Self::Assumed).then_some(
+            "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)",
+        )
+    }
 }
 
 /// Scan matching as a whole.

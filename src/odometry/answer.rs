@@ -22,6 +22,8 @@ pub(super) struct Answer {
     pub(super) matched_covariance: Option<PoseCovariance>,
     /// What is known of the pose seen from the keyframe, along the axes of the base.
     pub(super) covariance_to_keyframe: PoseCovariance,
+    /// Of a match: it contradicts what the odometry says of the way from the keyframe.
+    pub(super) contradicts_odometry: bool,
     pub(super) refinement: Option<RefinementReport>,
     pub(super) predicted_error: ErrorEstimate,
     pub(super) estimated_error: ErrorEstimate,
@@ -39,6 +41,7 @@ impl Answer {
             step_covariance: covariance,
             matched_covariance: None,
             covariance_to_keyframe: PoseCovariance::zeros(),
+            contradicts_odometry: false,
             refinement: None,
             predicted_error: error,
             estimated_error: error,
@@ -92,6 +95,7 @@ impl Answer {
             step_covariance: uncertainty::turned(&of_match.unwrap_or(predicted), keyframe.map_from_laser.theta),
             matched_covariance: of_match.map(|of_match| of_base(&of_match)),
             covariance_to_keyframe: of_base(&stays),
+            contradicts_odometry: doubt.is_contradiction,
             predicted_error: ErrorEstimate::of_covariance(&predicted),
             ..Self::first(map_from_base, covariance)
         }

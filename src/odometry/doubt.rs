@@ -13,14 +13,19 @@ pub(super) struct Doubt {
     pub(super) factor: f64,
     /// And this besides: the covariance of the pose, along the axes of the map.
     pub(super) covariance: PoseCovariance,
+    /// One of the two must be wrong.
+    pub(super) is_contradiction: bool,
 }
+
+/// A difference of so many standard deviations is a contradiction.
+const CONTRADICTION: f64 = 3.0;
 
 impl Doubt {
     /// Of a match by which the base has moved by `found` since the last scan, where odometry, which has been wrong lately by `noise`, says
     /// `said`.
     pub(super) fn of_step(noise: SourceNoise, said: Option<&Prediction>, found: &Pose2) -> Self {
         let deviation = said.map_or(0.0, |said| deviation(said, found));
-        Self { factor: noise.doubt(deviation), covariance: PoseCovariance::zeros() }
+        Self { factor: noise.doubt(deviation), covariance: PoseCovariance::zeros(), is_contradiction: false }
     }
 
     /// The same, where the match has found a motion and something else says another one, both from where the base was turned by `heading`
@@ -28,9 +33,11 @@ impl Doubt {
     /// always to the same side.
     pub(super) fn against(self, said: &Prediction, found: &Pose2, heading: f64) -> Self {
         // Within a standard deviation they do not contradict one another; beyond, the more the difference counts.
-        let share = 1.0 - deviation(said, found).max(1.0).powi(-2);
+        let deviation = deviation(said, found);
+        let share = 1.0 - deviation.max(1.0).powi(-2);
         let difference = offset(said, found);
-        Self { covariance: self.covariance + turned(&(share * difference * difference.transpose()), heading), ..self }
+        let covariance = self.covariance + turned(&(share * difference * difference.transpose()), heading);
+        Self { covariance, is_contradiction: deviation > CONTRADICTION, ..self }
     }
 }
 
@@ -51,14 +58,16 @@ mod tests {
 
     #[test]
     fn a_match_that_contradicts_the_odometry_may_be_wrong_by_the_difference() {
-        let Doubt { factor, covariance } = doubt(0.4, 0.0);
+        let Doubt { factor, covariance, is_contradiction } = doubt(0.4, 0.0);
+        assert!(is_contradiction);
         assert!(factor > 10.0 && (covariance.m22.sqrt() - 0.4).abs() < 0.05, "{factor} {covariance}");
         assert!(covariance.m11 < 1e-9 && covariance.m33 < 1e-9, "along the way alone: {covariance}");
     }
 
     #[test]
     fn what_odometry_may_err_by_contradicts_nothing() {
-        let Doubt { factor, covariance } = doubt(0.4, 0.37);
+        let Doubt { factor, covariance, is_contradiction } = doubt(0.4, 0.37);
+        assert!(!is_contradiction);
         assert!((factor - 1.0).abs() < 1e-9 && covariance.norm() < 1e-9, "{factor} {covariance}");
     }
 }

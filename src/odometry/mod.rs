@@ -144,6 +144,31 @@ pub struct OdometryCounters {
     pub odometry_disbelieved: u64,
     /// The same of the IMU.
     pub imu_disbelieved: u64,
+    /// Matches that contradict the odometry, which has not been disbelieved: it says another way from the last keyframe.
+    pub odometry_contradicted: u64,
+}
+
+impl OdometryCounters {
+    /// What the user should know of the events, one sentence for each kind that there was.
+    pub fn in_words(&self) -> impl Iterator<Item = String> {
+        let counted = [
+            (self.without_odometry, "scans predicted at constant velocity: no odometry covers them"),
+            (self.duplicate_scans, "scans with the stamp of the one before"),
+            (self.out_of_order_scans, "scans out of order"),
+            (self.time_jumps, "jumps back in time (each started a new run)"),
+            (self.clock_steps, "steps back of the clock (each went on from the last pose)"),
+            (self.duplicate_odometry, "odometry messages with the stamp of the one before"),
+            (self.odometry_resets, "jumps of the odometry"),
+            (self.imu_disbelieved, "scans predicted without the IMU, which the scans before had contradicted"),
+            (self.odometry_disbelieved, "scans predicted almost without the odometry, which the scans before had contradicted"),
+            (
+                self.odometry_contradicted,
+                "matches that contradict the odometry: one of the two is wrong (do wheels slip? does the laser see the robot itself, or a \
+                 cover, or people all around?)",
+            ),
+        ];
+        counted.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"))
+    }
 }
 
 /// Laser odometry: scans and wheel odometry in, poses out.
@@ -164,6 +189,7 @@ pub struct LaserOdometry {
     to_be_recognised: bool,
     views: Vec<PlacedView>,
     keyframe: Option<Placement>,
+    approach: Approach,
     upcoming_keyframe: Option<UpcomingKeyframe>,
     /// The last scan, when its answer was given before its match was done, and the pose (in the keyframe) that it had come to.
     unfinished: Option<(Scan, Attempt, Pose2)>,
@@ -198,6 +224,7 @@ impl LaserOdometry {
             to_be_recognised: false,
             views: Vec::new(),
             keyframe: None,
+            approach: Approach::default(),
             upcoming_keyframe: None,
             unfinished: None,
             last: None,
@@ -459,16 +486,18 @@ impl LaserOdometry {
 
     /// What is doubtful of a match that has found the laser at `map_from_laser`: by odometry, and by how a robot can move.
     fn doubt(&self, keyframe: &Placement, attempt: &Attempt, map_from_laser: &Pose2, stamp: Stamp) -> Doubt {
-        let laser_from_base = attempt.base_from_laser.inverse();
-        let [map_from_base, map_from_keyframe] = [map_from_laser, &keyframe.map_from_laser].map(|laser| *laser * laser_from_base);
+        let map_from_base = *map_from_laser * attempt.base_from_laser.inverse();
         let last = &attempt.last.map_from_base;
         let step = last.between(&map_from_base);
         let doubt =
             Doubt::of_step(self.noise.odometry, attempt.said.as_ref(), &step).against(&attempt.expected, &step, last.theta);
-        let Some(motion) = self.sources.motion_without_imu(keyframe.stamp, stamp) else { return doubt };
-        let covariance = uncertainty::of_wheels(&motion, stamp.seconds_since(keyframe.stamp));
-        let since_keyframe = map_from_keyframe.between(&map_from_base);
-        doubt.against(&Prediction { motion, covariance }, &since_keyframe, map_from_keyframe.theta)
+        let Approach { stamp: since, keyframe_from_base } = self.approach;
+        let Some(motion) = self.sources.motion_without_imu(since, stamp) else {
+            return Doubt { is_contradiction: false, ..doubt };
+        };
+        let covariance = uncertainty::of_wheels(&motion, stamp.seconds_since(since));
+        let start = keyframe.map_from_laser * keyframe_from_base;
+        doubt.against(&Prediction { motion, covariance }, &start.between(&map_from_base), start.theta)
     }
 
     /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register_within`] does it otherwise.
@@ -492,7 +521,12 @@ impl LaserOdometry {
     fn choose_views(&mut self) {
         let Some(last) = self.last else { return };
         let count = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.views } else { 1 };
+        let before = self.keyframe.map(|keyframe| keyframe.stamp);
         self.keyframe = self.map.views_around(&last.map_from_laser, count as usize, &mut self.views);
+        if let Some(keyframe) = self.keyframe.filter(|keyframe| Some(keyframe.stamp) != before) {
+            let keyframe_from_base = keyframe.map_from_laser.between(&last.map_from_base);
+            self.approach = Approach { stamp: last.stamp, keyframe_from_base };
+        }
         self.matcher.set_views(&self.views);
     }
 
@@ -613,6 +647,7 @@ impl LaserOdometry {
             predicted_error: ErrorEstimate::UNKNOWN,
             estimated_error: ErrorEstimate::UNKNOWN,
             disbelieved: self.noise.disbelieved(),
+            contradicts_odometry: false,
             new_keyframe: false,
         }
     }
@@ -737,6 +772,7 @@ impl LaserOdometry {
     /// What a match that is done makes of what each source said; a scan that was not matched says nothing.
     fn judge_sources(&mut self, attempt: &Attempt, found: &Found, stamp: Stamp) {
         let Ok(answer) = &found.answer else { return };
+        self.counters.odometry_contradicted += u64::from(answer.contradicts_odometry && !self.noise.odometry.is_disbelieved());
         self.sources.learn_lag(stamp, self.map_from_odom.inverse() * answer.map_from_base);
         let motion = attempt.last.map_from_base.between(&answer.map_from_base);
         self.noise.velocity.judge(source_noise::deviation(&attempt.expected, &motion));
@@ -798,6 +834,7 @@ impl LaserOdometry {
             refinement: answer.refinement,
             predicted_error: answer.predicted_error,
             estimated_error: answer.estimated_error,
+            contradicts_odometry: answer.contradicts_odometry,
             new_keyframe: becomes_keyframe,
             ..self.registration(answer.outcome, answer.map_from_base, &answer.covariance)
         }
@@ -825,6 +862,13 @@ impl LearnedNoise {
     fn disbelieved(&self) -> Disbelieved {
         Disbelieved { odometry: self.odometry.is_disbelieved(), imu: self.imu.is_disbelieved() }
     }
+}
+
+/// Since when scans have been matched to the present keyframe before all others, and where the base was then, seen from it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Approach {
+    stamp: Stamp,
+    keyframe_from_base: Pose2,
 }
 
 /// A scan that is to become a keyframe.

@@ -94,6 +94,9 @@ pub struct Registration {
     pub estimated_error: ErrorEstimate,
     /// The sources of motion that are not believed from here on.
     pub disbelieved: Disbelieved,
+    /// The answer is a match which contradicts what the odometry says of the way since the scans before were first matched to the same
+    /// keyframe: one of the two is wrong, as where wheels slip or most rays see something that goes along with the laser.
+    pub contradicts_odometry: bool,
     /// Whether the scan becomes the reference of the next ones.
     pub new_keyframe: bool,
 }

@@ -59,32 +59,8 @@ impl Ending {
     fn problems(&self) -> Vec<String> {
         let mut problems = self.bag_problems.clone();
         problems.extend(self.log.problems.iter().cloned());
-        if self.mount_source == MountSource::Assumed {
-            problems.push(
-                "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)"
-                    .into(),
-            );
-        }
-        if self.counters.without_odometry > 0 {
-            problems.push(format!(
-                "{} scans predicted at constant velocity: no odometry covers them",
-                self.counters.without_odometry
-            ));
-        }
-        let counted = [
-            (self.counters.duplicate_scans, "scans with the stamp of the one before"),
-            (self.counters.out_of_order_scans, "scans out of order"),
-            (self.counters.time_jumps, "jumps back in time (each started a new run)"),
-            (self.counters.clock_steps, "steps back of the clock (each went on from the last pose)"),
-            (self.counters.duplicate_odometry, "odometry messages with the stamp of the one before"),
-            (self.counters.odometry_resets, "jumps of the odometry"),
-            (self.counters.imu_disbelieved, "scans predicted without the IMU, which the scans before had contradicted"),
-            (
-                self.counters.odometry_disbelieved,
-                "scans predicted almost without the odometry, which the scans before had contradicted",
-            ),
-        ];
-        problems.extend(counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")));
+        problems.extend(self.mount_source.reservation().map(Into::into));
+        problems.extend(self.counters.in_words());
         problems
     }
 }

@@ -23,6 +23,8 @@ pub(super) const PERIOD: Duration = Duration::from_secs(1);
 /// Conditions that several nodes know.
 pub(super) const MOUNT_ASSUMED: &str = "the laser's place on the base is not known";
 pub(super) const ODOMETRY_DISBELIEVED: &str = "the matches contradict the odometry: it does not predict";
+pub(super) const ODOMETRY_CONTRADICTED: &str =
+    "the last match contradicts the odometry: do wheels slip, or does the laser see what goes along with it?";
 pub(super) const IMU_DISBELIEVED: &str = "the matches contradict the IMU: it does not predict";
 pub(super) const OUTSIDE_PROFILE: &str = "the scans are of another kind than the profile's: its errors are not to be relied on";
 pub(super) const TRANSFORM_WITHHELD: &str = "transform held back: another node publishes it";

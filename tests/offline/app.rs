@@ -503,6 +503,26 @@ fn the_source_that_the_matches_contradict_is_named() {
 /// Makes a good scan a bad one.
 type Spoil = fn(&mut LaserScan);
 
+/// Most rays see a cover that goes along with the laser, the others the room: the matches say that the robot stands, and that is told.
+#[test]
+fn a_cover_with_slots_is_said_to_contradict_the_odometry() {
+    let along = |seconds: f64| Pose2::new(0.4 * seconds, 0.0, 0.0);
+    for is_covered in [true, false] {
+        let mut app = app(&[]);
+        let mut contradictions = 0;
+        for i in 0..60 {
+            let seconds = f64::from(i) * 0.05;
+            app.on_odometry(&odometry_at(seconds, along(seconds))).unwrap();
+            let mut message = scan_at(seconds, along(seconds));
+            let rays = message.ranges.iter_mut().enumerate();
+            rays.filter(|(ray, _)| is_covered && ray % 90 > 18).for_each(|(_, range)| *range = 0.12);
+            contradictions += usize::from(answer(&mut app, &message).registration.contradicts_odometry);
+        }
+        assert_eq!(contradictions > 30, is_covered, "{contradictions} contradictions");
+        assert_eq!(app.odometry_counters().in_words().any(|words| words.contains("contradict the odometry")), is_covered);
+    }
+}
+
 #[test]
 fn malformed_scans_are_said_to_be_and_answered() {
     let mut app = app(&[]);
@@ -560,6 +580,25 @@ fn what_matching_does_not_need_is_said_once_and_refuses_no_scan() {
             let expected = usize::from(half == 0.0);
             assert_eq!(remarks.iter().filter(|remark| remark.contains(text)).count(), expected, "{text}: {remarks:?}");
         }
+    }
+}
+
+/// A laser begins a sweep when the one before is over.
+#[test]
+fn a_sweep_takes_no_longer_than_there_is_between_two_scans() {
+    for (sweep, is_believed) in [(0.045, true), (0.05, true), (0.2, false), (0.9, false)] {
+        let mut converter = ScanConverter::default();
+        let mut believed = 0;
+        for i in 0..20 {
+            let seconds = f64::from(i) * 0.05;
+            let mut message = scan_at(seconds, way(seconds));
+            message.time_increment = sweep / message.ranges.len() as f32;
+            believed += usize::from(converter.convert(&message, false).unwrap().sweep_duration() > 0.0);
+        }
+        assert_eq!(believed == 20, is_believed, "{sweep} s: {believed} of 20");
+        assert!(is_believed || believed <= 3, "{sweep} s: {believed} of 20");
+        let said = converter.take_oddities().iter().any(|oddity| oddity.to_string().contains("a sweep cannot take"));
+        assert_ne!(said, is_believed, "{sweep} s");
     }
 }
 

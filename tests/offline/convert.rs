@@ -232,6 +232,9 @@ proptest! {
     ) {
         let mut bytes = log().into_bytes();
         for (place, byte, kind) in changes {
+            if bytes.is_empty() {
+                break;
+            }
             let at = place.index(bytes.len());
             match kind {
                 0 => bytes[at] = byte,

@@ -67,7 +67,7 @@ pub(crate) struct Arguments {
     #[arg(long, default_value_t = 0.0)]
     replan: f64,
     /// Delay of its paths, such as 2s
-    #[arg(long, default_value = "0", value_parser = seconds)]
+    #[arg(long, default_value = "0", value_parser = seconds, allow_hyphen_values = true)]
     path_delay: f64,
     /// Length of its paths, m
     #[arg(long, default_value_t = 40.0)]

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
-use anytime_scan_matcher::app::MountSource;
 use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::evaluation::association::associate;
@@ -15,7 +14,7 @@ use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::io::csv_file::CsvFile;
 use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::io::tum::TumWriter;
-use anytime_scan_matcher::knobs::Value;
+use anytime_scan_matcher::knobs::{KnobValue, Value};
 use anytime_scan_matcher::output::OutputFile;
 use anytime_scan_matcher::replay::localize::{Answer, LocalizationSummary, localize};
 use anytime_scan_matcher::replay::row::BeliefRow;
@@ -62,7 +61,7 @@ pub(crate) struct Arguments {
 fn pose(text: &str) -> Result<Pose2, String> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
     match numbers.as_deref() {
-        Ok(&[x, y, yaw]) if [x, y, yaw].iter().all(|number| number.is_finite()) => Ok(Pose2::new(x, y, yaw)),
+        Ok(pose @ &[x, y, yaw]) if pose.iter().all(|number| number.is_finite()) => Pose2::from_value(&vec![x, y, yaw].into()),
         _ => Err("expected x,y,yaw in metres and radians, such as 1.5,-2,3.14".into()),
     }
 }
@@ -178,12 +177,14 @@ impl Records {
 
 /// What the user should know, each with its remedy.
 fn reservations(localizer: &Localizer) -> Vec<String> {
-    let assumed = (localizer.mount().1 == MountSource::Assumed).then(|| {
-        "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)".into()
-    });
-    let blind = localizer.without_odometry();
-    let guessed = (blind > 0).then(|| format!("{blind} scans predicted at constant velocity: no odometry covers them"));
-    assumed.into_iter().chain(guessed).collect()
+    let assumed = localizer.mount().1.reservation().map(Into::into);
+    let counted = [
+        (localizer.without_odometry(), "scans whose motion is that of a match to the scans before: no odometry covers it"),
+        (localizer.clock_steps(), "steps back of the clock (each went on from the last pose)"),
+        (localizer.new_runs(), "jumps back in time (each started a new run, from the last pose)"),
+    ];
+    let counted = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
+    assumed.into_iter().chain(counted).collect()
 }
 
 fn files<'a>(arguments: &'a Arguments, config: &'a Config) -> Files<'a> {

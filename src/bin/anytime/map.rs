@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use anytime_scan_matcher::anytime::clock::Clock;
-use anytime_scan_matcher::app::{App, MountSource};
+use anytime_scan_matcher::app::App;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::evaluation::trajectory::StampedPose;
 use anytime_scan_matcher::geometry::Point;
@@ -166,10 +166,10 @@ impl Survey {
         if self.mapper.keyframes().len() == before {
             bail!("{}: no scan on {} could be used{}", path.display(), topics.scan, log.reasons(&bag, &unusable));
         }
-        let assumed = (app.mount().1 == MountSource::Assumed).then(|| {
-            "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)".into()
-        });
-        self.problems.extend(bag.problems().iter().map(ToString::to_string).chain(log.problems).chain(unusable).chain(assumed));
+        let assumed = app.mount().1.reservation().map(Into::into);
+        let counted = app.odometry_counters().in_words();
+        self.problems.extend(bag.problems().iter().map(ToString::to_string));
+        self.problems.extend(log.problems.into_iter().chain(unusable).chain(assumed).chain(counted));
         Ok(())
     }
 }

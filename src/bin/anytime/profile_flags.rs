@@ -41,7 +41,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "M.yaml")]
     pub(crate) map: Option<PathBuf>,
     /// Compare the look-up table with a contract at this time limit, such as 500us; several may be given
-    #[arg(long, value_name = "TIME", value_delimiter = ',', value_parser = delta)]
+    #[arg(long, value_name = "TIME", value_delimiter = ',', value_parser = delta, allow_hyphen_values = true)]
     pub(crate) delta: Vec<Duration>,
     /// Runs of each case, interleaved with all others
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]

@@ -26,31 +26,31 @@ pub(crate) fn check_world(name: &str) -> anyhow::Result<()> {
 
 #[derive(Args)]
 pub(crate) struct SimulationFlags {
-    #[arg(long, value_parser = value, help = help::<DriveKnobs>("duration"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<DriveKnobs>("duration"))]
     duration: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<VehicleKnobs>("drive"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<VehicleKnobs>("drive"))]
     drive: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<VehicleKnobs>("speed"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<VehicleKnobs>("speed"))]
     speed: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<VehicleKnobs>("acceleration"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<VehicleKnobs>("acceleration"))]
     acceleration: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<VehicleKnobs>("lateral_acceleration"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<VehicleKnobs>("lateral_acceleration"))]
     lateral_acceleration: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<LidarKnobs>("beams"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<LidarKnobs>("beams"))]
     beams: Option<Value>,
-    #[arg(long, value_parser = |text: &str| value(text.trim_end_matches("deg")), help = help::<LidarKnobs>("field_of_view"))]
+    #[arg(long, value_parser = |text: &str| value(text.trim_end_matches("deg")), allow_hyphen_values = true, help = help::<LidarKnobs>("field_of_view"))]
     fov: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<LidarKnobs>("rate"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<LidarKnobs>("rate"))]
     rate: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<LidarKnobs>("noise"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<LidarKnobs>("noise"))]
     noise: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<LidarKnobs>("scan_duration"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<LidarKnobs>("scan_duration"))]
     scan_duration: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<OdometerKnobs>("rate"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<OdometerKnobs>("rate"))]
     odom_rate: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<TrafficKnobs>("walkers"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<TrafficKnobs>("walkers"))]
     walkers: Option<Value>,
-    #[arg(long, value_parser = value, help = help::<TrafficKnobs>("rivals"))]
+    #[arg(long, value_parser = value, allow_hyphen_values = true, help = help::<TrafficKnobs>("rivals"))]
     rivals: Option<Value>,
 }
 

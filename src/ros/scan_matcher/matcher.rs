@@ -13,7 +13,9 @@ use crate::messages::geometry_msgs::TwistStamped;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::Outcome;
 use crate::ros::context::Context;
-use crate::ros::diagnostics::{IMU_DISBELIEVED, ODOMETRY_DISBELIEVED, OUTSIDE_PROFILE, Sample, TRANSFORM_WITHHELD};
+use crate::ros::diagnostics::{
+    IMU_DISBELIEVED, ODOMETRY_CONTRADICTED, ODOMETRY_DISBELIEVED, OUTSIDE_PROFILE, Sample, TRANSFORM_WITHHELD,
+};
 use crate::ros::input::Input;
 use crate::ros::live_params::MatchingChange;
 use crate::ros::mailbox::{NextScan, Request};
@@ -114,6 +116,7 @@ impl Matcher {
         }
         let disbelieved = estimate.registration.disbelieved;
         context.shared.monitor.set_condition(ODOMETRY_DISBELIEVED, disbelieved.odometry);
+        context.shared.monitor.set_condition(ODOMETRY_CONTRADICTED, estimate.registration.contradicts_odometry);
         context.shared.monitor.set_condition(IMU_DISBELIEVED, disbelieved.imu);
         context.shared.monitor.set_condition(OUTSIDE_PROFILE, estimate.outside_profile.is_some());
         context.shared.monitor.set_odometry_lag(self.app.odometry_lag());

@@ -37,6 +37,16 @@ fn before_the_first_usable_scan_the_robot_moves_by_odometry() {
     assert!(summary["position_rmse_m"].as_f64().unwrap() <= 0.1, "{summary}");
 }
 
+/// Along a corridor whose walls say nothing of the way; the motion is that of matches to the scans before.
+#[test]
+fn by_scans_alone_the_robot_is_followed() {
+    let more = ["--json", "--scan-only", "--truth", "bags/demo.tum"];
+    let output = localize(Path::new("bags/demo.bag"), Path::new("maps/corridor.yaml"), &more);
+    let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(summary["localized"] == 400 && summary["position_rmse_m"].as_f64().unwrap() <= 0.05, "{summary}");
+    assert!(summary["problems"].to_string().contains("match to the scans before"), "{summary}");
+}
+
 #[test]
 fn a_map_of_another_place_is_told_and_the_exit_code_is_1() {
     let Some(map) = shared("data/maps/skirk.yaml") else { return };

@@ -24,6 +24,9 @@ pub use laser::LaserSummary;
 pub use odometry::OdometrySummary;
 pub use topic::TopicSummary;
 
+/// What the frame of a base is called, as a rule (REP 105).
+const USUAL_BASE: &str = "base_link";
+
 /// Summary of a bag.
 #[derive(Clone, Debug, Serialize)]
 pub struct BagSummary {
@@ -58,13 +61,13 @@ impl BagSummary {
         for connection in bag.connections() {
             topics.entry(&connection.topic).or_insert_with(|| TopicReport::new(connection));
         }
-        let mut transforms = TransformTree::default();
+        let (mut transforms, mut refused) = (TransformTree::default(), 0);
         for message in bag.messages(None) {
             let message = message?;
             if message.connection.carries::<TFMessage>()
                 && let Ok(message) = message.decode()
             {
-                transforms.add(&message);
+                refused += transforms.add(&message);
             }
             if let Some(report) = topics.get_mut(message.connection.topic.as_str()) {
                 report.add(&message);
@@ -86,6 +89,7 @@ impl BagSummary {
         }
         summary.problems.extend(summary.lasers.iter().flat_map(LaserSummary::problems));
         summary.problems.extend(summary.tilted_lasers(&transforms));
+        summary.problems.extend((refused > 0).then(|| format!("{refused} transforms are no rigid motion, and are left out")));
         summary.problems.extend(summary.clouds.iter().flat_map(CloudSummary::problems));
         summary.problems.extend(summary.odometry.iter().flat_map(OdometrySummary::problems));
         summary.problems.extend(summary.what_is_missing());
@@ -109,11 +113,13 @@ impl BagSummary {
         }
     }
 
-    /// Lasers whose last mount in the bag is no planar one.
+    /// Lasers whose last mount in the bag is no planar one: on the base whose odometry it is, or that has the usual name.
     fn tilted_lasers(&self, transforms: &TransformTree) -> Vec<String> {
+        let of_odometry = self.odometry.iter().flat_map(|odometry| &odometry.child_frames);
+        let bases: Vec<&str> = of_odometry.map(String::as_str).chain([USUAL_BASE]).collect();
         let tilted = |laser: &LaserSummary| {
             let topic = laser.topic.clone();
-            let errors = laser.frames.iter().filter_map(|frame| transforms.check_level(frame).err());
+            let errors = laser.frames.iter().filter_map(|frame| transforms.check_level(&bases, frame).err());
             errors.map(move |error| format!("{topic}: {error}")).collect::<Vec<_>>()
         };
         self.lasers.iter().flat_map(tilted).collect()
