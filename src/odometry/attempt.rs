@@ -9,7 +9,7 @@ use crate::matching::{Prior, SearchWindow};
 use crate::time::Stamp;
 
 /// The agreement of scans varies by this from one to the next.
-const USUAL_VARIATION: f64 = 0.05;
+pub(super) const USUAL_VARIATION: f64 = 0.05;
 /// To either side of a predicted turn so much of it is searched.
 const SEARCHED_PART_OF_TURN: f64 = 1.2;
 

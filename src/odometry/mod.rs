@@ -38,7 +38,7 @@ use crate::scan::Scan;
 use crate::time::{Continuity, Stamp, Step};
 use crate::transforms::LaserPlace;
 use answer::{Answer, Found, problem};
-use attempt::{Attempt, Last};
+use attempt::{Attempt, Last, USUAL_VARIATION};
 use doubt::Doubt;
 use heading::HeadingReading;
 use local_map::{LocalMap, Unrecognised};
@@ -62,6 +62,8 @@ const TURN_JUMP: f64 = 0.04;
 const MAX_ACCELERATION: f64 = 30.0;
 /// ... and rad/s^2.
 const MAX_TURN_ACCELERATION: f64 = 100.0;
+/// So many times as long as usual after the last one, a scan has come late, or the clock was set. Less than that a search bridges.
+const LATE_BY_PERIODS: f64 = 4.0;
 /// Weight of the last scan in the usual agreement and period.
 const USUAL_WEIGHT: f64 = 0.05;
 /// Time that the usual velocity is of, s.
@@ -132,7 +134,7 @@ pub struct OdometryCounters {
     pub out_of_order_scans: u64,
     /// Runs that ended because time went back.
     pub time_jumps: u64,
-    /// Steps back of the clock after which the robot drove on.
+    /// Steps of the clock after which the robot drove on.
     pub clock_steps: u64,
     /// Wheel odometry messages with the stamp of the one before.
     pub duplicate_odometry: u64,
@@ -156,7 +158,7 @@ impl OdometryCounters {
             (self.duplicate_scans, "scans with the stamp of the one before"),
             (self.out_of_order_scans, "scans out of order"),
             (self.time_jumps, "jumps back in time (each started a new run)"),
-            (self.clock_steps, "steps back of the clock (each went on from the last pose)"),
+            (self.clock_steps, "steps of the clock (each went on from the last pose)"),
             (self.duplicate_odometry, "odometry messages with the stamp of the one before"),
             (self.odometry_resets, "jumps of the odometry"),
             (self.imu_disbelieved, "scans predicted without the IMU, which the scans before had contradicted"),
@@ -381,13 +383,16 @@ impl LaserOdometry {
             return answer;
         }
         let Some(last) = self.last else { return self.answer_first(scan, base_from_laser, self.start, PoseCovariance::zeros()) };
-        let attempt = self.attempt(&last, scan.stamp(), base_from_laser);
+        let mut attempt = self.attempt(&last, scan.stamp(), base_from_laser);
         let Some(keyframe) = self.keyframe else {
             let (map_from_base, covariance) = attempt.predicted_base();
             return self.answer_first(scan, base_from_laser, map_from_base, covariance);
         };
         let first_guess = keyframe.map_from_laser.between(&attempt.predicted_laser());
-        let found = self.match_to(&keyframe, scan, &attempt, first_guess, driver);
+        let mut found = self.match_to(&keyframe, scan, &attempt, first_guess, driver);
+        if let Some((set_forward, fits)) = self.match_where_the_clock_was_set(&keyframe, scan, &attempt, &found, driver) {
+            (attempt, found) = (set_forward, fits);
+        }
         let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
         let worth_finishing = match found.report.stop_reason {
             StopReason::Budget | StopReason::Interrupted => true,
@@ -444,6 +449,38 @@ impl LaserOdometry {
             self.last = Some(attempt.last);
             self.conclude(&scan, &attempt.base_from_laser, answer, becomes_keyframe || was_keyframe);
         }
+    }
+
+    /// A match where the robot has hardly moved, of a scan that comes later than usual, where that fits decidedly better than where the
+    /// velocity leads in that time: the clock was set forward, and the robot has driven on for no longer than from any scan to the next.
+    /// Odometry would know.
+    fn match_where_the_clock_was_set(
+        &mut self,
+        keyframe: &Placement,
+        scan: &Scan,
+        attempt: &Attempt,
+        found: &Found,
+        driver: &mut Driver,
+    ) -> Option<(Attempt, Found)> {
+        let no_time = found.answer.as_ref().is_err_and(|failure| !failure.reason.is_no_fit());
+        let came_late = scan.stamp().seconds_since(attempt.last.stamp) > LATE_BY_PERIODS * self.usual_period;
+        if attempt.said.is_some() || !came_late || no_time {
+            return None;
+        }
+        let last = Last { stamp: scan.stamp().offset_by(-self.usual_period), ..attempt.last };
+        let expected = last.motion.expect(self.usual_period).prediction();
+        let attempt = Attempt { last, expected, prediction: expected, said_turn: None, ..*attempt };
+        let first_guess = keyframe.map_from_laser.between(&attempt.predicted_laser());
+        let shown = (std::mem::take(&mut self.iterations), self.matched_points.take());
+        let fits = self.match_to(keyframe, scan, &attempt, first_guess, driver);
+        let is_better = found.answer.is_err() || fits.agreement > found.agreement.map(|agreement| agreement + USUAL_VARIATION);
+        if fits.answer.is_err() || !is_better {
+            (self.iterations, self.matched_points) = shown;
+            return None;
+        }
+        self.counters.clock_steps += 1;
+        self.last = Some(last);
+        Some((attempt, fits))
     }
 
     /// Matches a scan to the keyframe, from `start` on.

@@ -42,6 +42,13 @@ crate::choices! {
     }
 }
 
+impl FailureReason {
+    /// Whether the scan does not fit where it was expected.
+    pub(super) fn is_no_fit(self) -> bool {
+        matches!(self, Self::TooFewCorrespondences | Self::CorrectionTooLarge)
+    }
+}
+
 /// Why a scan was not matched, for programs and in words.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {

@@ -180,7 +180,7 @@ fn reservations(localizer: &Localizer) -> Vec<String> {
     let assumed = localizer.mount().1.reservation().map(Into::into);
     let counted = [
         (localizer.without_odometry(), "scans whose motion is that of a match to the scans before: no odometry covers it"),
-        (localizer.clock_steps(), "steps back of the clock (each went on from the last pose)"),
+        (localizer.clock_steps(), "steps of the clock (each went on from the last pose)"),
         (localizer.new_runs(), "jumps back in time (each started a new run, from the last pose)"),
     ];
     let counted = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
