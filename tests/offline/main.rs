@@ -32,6 +32,7 @@ mod profile;
 mod raycasting;
 mod refinement;
 mod replay;
+mod sensitivity;
 #[cfg(target_os = "linux")]
 mod shared_memory;
 mod shell;
