@@ -792,7 +792,11 @@ impl LaserOdometry {
         let said_turn = self.sources.turn_by_imu(last.stamp, stamp);
         self.count_disbelieved(said.is_some());
         // Where nothing else is known, a velocity that was wrong is no worse than before: a robot that was carried off drives on.
-        let fused = |said: Prediction| said.with_noise(self.noise.odometry).and(&expected.with_noise(self.noise.velocity));
+        let fused = |said: Prediction| {
+            let (said, expected) = (said.with_noise(self.noise.odometry), expected.with_noise(self.noise.velocity));
+            let usually = last.motion.expect(self.usual_period.max(stamp.seconds_since(last.stamp))).prediction();
+            said.doubted_by(&expected, &usually).and(&expected)
+        };
         let known = said.map_or(expected, fused);
         self.sources.believe_imu(!self.noise.imu.is_disbelieved());
         let prediction = self.sources.with_heading(&known, last.stamp, stamp);

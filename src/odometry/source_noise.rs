@@ -17,6 +17,10 @@ const WEIGHT: f64 = 0.25;
 /// A step that errs by more standard deviations than this counts as one that errs by so many: one jump is forgotten within a dozen.
 const CLIPPED: f64 = 20.0;
 
+/// Two motions whose difference has a greater square, in standard deviations, contradict one another: one in a hundred does that are right
+/// (chi-squared, three degrees of freedom). From 6 to 16 do alike, the less by far where stamps jitter.
+const CONTRADICTION: f64 = 11.3;
+
 /// What the last steps say of a source.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SourceNoise {
@@ -58,6 +62,16 @@ impl Prediction {
     pub(super) fn with_noise(&self, noise: SourceNoise) -> Self {
         Self { covariance: self.covariance * noise.factor(), ..*self }
     }
+
+    /// What wheels say, weighed by how the robot was driving: where the two contradict one another, the wheels lock, spin or are not heard of,
+    /// for a body is too heavy to change its velocity like that. Their standard deviation is then that from the velocity. Where stamps jitter
+    /// the step may have taken as long as any: then the robot would be where it is `usually`.
+    pub(super) fn doubted_by(&self, expected: &Self, usually: &Self) -> Self {
+        let time = offset(expected, &usually.motion);
+        let both = Self { covariance: self.covariance + usually.covariance + time * time.transpose(), ..*self };
+        let squared = 3.0 * deviation(&both, &expected.motion).powi(2);
+        Self { covariance: self.covariance * if squared > CONTRADICTION { squared } else { 1.0 }, ..*self }
+    }
 }
 
 /// By how much a motion differs from the one that was said: m, m, rad, along the axes of its start.
@@ -96,6 +110,19 @@ mod tests {
         assert!(after(&wrong).factor() > 2.0 * after(&wrong[..1]).factor());
         let right_again = [&wrong[..], &[(0.1, 0.1); 20]].concat();
         assert!(after(&right_again).factor() < 1.2 && !after(&right_again).is_disbelieved());
+    }
+
+    #[test]
+    fn wheels_that_stop_at_once_are_doubted() {
+        let known = |x: f64, deviation: f64| Prediction {
+            motion: Pose2::new(x, 0.0, 0.0),
+            covariance: uncertainty::diagonal(deviation, deviation),
+        };
+        let driving = known(0.15, 0.02);
+        let weighed = |said: f64, usually: f64| known(said, 0.01).doubted_by(&driving, &known(usually, 0.02)).and(&driving);
+        assert!(weighed(0.0, 0.15).motion.x > 0.1, "wheels that lock: {}", weighed(0.0, 0.15).motion.x);
+        assert!(weighed(0.11, 0.15).motion.x < 0.12, "wheels that brake: {}", weighed(0.11, 0.15).motion.x);
+        assert!(weighed(0.0, 0.0).motion.x < 0.05, "a stamp that is late: {}", weighed(0.0, 0.0).motion.x);
     }
 
     #[test]

@@ -37,6 +37,16 @@ impl Robot {
         self.app.on_odometry(&message).unwrap();
     }
 
+    /// What it sees in a corridor along x that has no ends.
+    fn scan_in_corridor(&mut self, seconds: f64) -> Estimate {
+        let mut message = self.laser.message(Stamp::from_seconds(seconds), Pose2::IDENTITY);
+        for (range, direction) in message.ranges.iter_mut().zip(self.laser.geometry().directions()) {
+            let distance = 1.5 / direction.y.abs();
+            *range = if distance < 12.0 { distance as f32 } else { f32::INFINITY };
+        }
+        self.app.on_scan(&message, Duration::ZERO)
+    }
+
     fn scan(&mut self, seconds: f64, pose: Pose2) -> Estimate {
         self.app.on_scan(&self.laser.message(Stamp::from_seconds(seconds), pose), Duration::ZERO)
     }
@@ -76,4 +86,18 @@ fn only_one_scan_is_passed_over() {
     let passages = [1.0, 1.1].map(|seconds| robot.scan(seconds, elsewhere).passage());
     assert_eq!(passages, [None, Some(Passage::Lost)]);
     assert_eq!(robot.scan(1.2, elsewhere).passage(), Some(Passage::Known), "it has a new keyframe");
+}
+
+/// Odometry says for 0.3 s that the robot stands, which drives at 4 m/s, and then catches up at once. The corridor does not tell.
+#[test]
+fn odometry_that_stands_still_for_a_while_is_doubted() {
+    let mut robot = Robot::new();
+    for i in 0..80 {
+        let seconds = 0.025 * f64::from(i);
+        let told = if (40..52).contains(&i) { 0.975 } else { seconds };
+        robot.odometry(seconds, Pose2::new(4.0 * told, 0.0, 0.0));
+        let found = robot.scan_in_corridor(seconds).registration;
+        let (error, sigma) = (found.odom_from_base.x - 4.0 * seconds, found.covariance.m11.sqrt());
+        assert!(error.abs() < 3.0 * sigma + 0.01, "{seconds:.3} s: {error:.3} m off, sigma {sigma:.3} m");
+    }
 }
