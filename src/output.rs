@@ -1,5 +1,6 @@
 //! Files written: none destroys what was there before it is whole, and none is written where another file is read or written.
 
+use std::borrow::Cow;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -125,7 +126,7 @@ fn place(path: &Path) -> PathBuf {
 }
 
 /// A file with what it is to its user: `("--tum", path)`.
-pub type Role<'a> = (&'a str, &'a Path);
+pub type Role<'a> = (&'a str, Cow<'a, Path>);
 
 /// The same file for two roles.
 #[derive(Debug, Error)]
@@ -142,7 +143,7 @@ pub fn check_roles(inputs: &[Role], outputs: &[Role]) -> Result<(), SameFile> {
         let Some(identity) = Identity::of(path) else { continue };
         let others = inputs.iter().chain(&outputs[..i]);
         if let Some((other, _)) = others.into_iter().find(|(_, other)| Identity::of(other).as_ref() == Some(&identity)) {
-            return Err(SameFile { first: (*role).into(), second: (*other).into(), path: path.to_path_buf() });
+            return Err(SameFile { first: (*role).into(), second: (*other).into(), path: path.clone().into_owned() });
         }
     }
     Ok(())

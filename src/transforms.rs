@@ -12,6 +12,8 @@ use crate::knobs::{KnobValue, expected, numbers, radians};
 use crate::messages::geometry_msgs;
 use crate::messages::tf2_msgs::TFMessage;
 
+/// No coordinate on Earth is greater, m: nor are those of UTM.
+pub const FARTHEST: f64 = 1e8;
 /// A chain longer than this is a loop.
 const MAX_CHAIN: usize = 100;
 
@@ -233,8 +235,8 @@ pub fn rigid_motion(place: [f64; 3], rotation: &geometry_msgs::Quaternion) -> Op
     let [x, y, z] = place;
     let rotation = UnitQuaternion::try_new(Quaternion::new(rotation.w, rotation.x, rotation.y, rotation.z), 1e-3)?;
     let isometry = Isometry3::from_parts(Translation3::new(x, y, z), rotation);
-    let finite = isometry.translation.vector.iter().chain(rotation.coords.iter()).all(|v| v.is_finite());
-    finite.then_some(isometry)
+    let is_rigid = rotation.coords.iter().all(|v| v.is_finite()) && place.iter().all(|v| v.abs() <= FARTHEST);
+    is_rigid.then_some(isometry)
 }
 
 #[cfg(test)]

@@ -1,13 +1,13 @@
 //! The heading from a message of an IMU.
 
-use super::{InputError, yaw};
+use super::{FASTEST, InputError, yaw};
 use crate::messages::sensor_msgs::Imu;
 use crate::odometry::heading::HeadingReading;
 
 /// `None`: it has no information. An IMU mounted `upside_down` turns the other way round; its orientation includes that.
 pub(super) fn reading(message: &Imu, upside_down: bool) -> Result<Option<HeadingReading>, InputError> {
     let (rates, orientation) = (&message.angular_velocity, &message.orientation);
-    if ![rates.x, rates.y, rates.z].iter().all(|rate| rate.is_finite()) {
+    if ![rates.x, rates.y, rates.z].iter().all(|rate| rate.abs() <= FASTEST) {
         return Err(InputError::VelocityNotFinite);
     }
     // A first variance of -1 means that there is no orientation; not every driver sets it.

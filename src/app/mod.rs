@@ -40,7 +40,7 @@ use crate::odometry::wheel::WheelSample;
 use crate::odometry::{Failure, FailureReason, LaserOdometry, MatchedPoints, OdometryCounters, Outcome, Registration};
 use crate::scan::Scan;
 use crate::time::Stamp;
-use crate::transforms::{Mount, TransformTree};
+use crate::transforms::{FARTHEST, Mount, TransformTree};
 
 pub use answering::{Answered, Answering};
 use intake::Intake;
@@ -49,18 +49,20 @@ use sensed::Sensed;
 
 /// A quaternion whose length is farther from 1 than this is a mistake of its sender, not rounding.
 const QUATERNION_TOLERANCE: f64 = 0.1;
+/// No robot is faster, m/s and rad/s, were its wheels to count millimetres or its IMU degrees.
+const FASTEST: f64 = 1e4;
 
 /// A message that cannot be used. The application goes on as if it had not come.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum InputError {
-    /// A pose holds NaN or infinities.
-    #[error("the pose has numbers that are not finite")]
+    /// A pose holds NaN or infinities, or numbers that can only be damage.
+    #[error("the pose has numbers that are not finite, or is nowhere on Earth")]
     PoseNotFinite,
-    /// An angular velocity or a velocity holds NaN or infinities.
-    #[error("the velocity has numbers that are not finite")]
+    /// An angular velocity or a velocity holds NaN or infinities, or numbers that can only be damage.
+    #[error("the velocity has numbers that are not finite, or that nothing moves at")]
     VelocityNotFinite,
     /// A quaternion is no rotation.
-    #[error("the orientation's quaternion has length {length:.3}: it must be normalised")]
+    #[error("the orientation's quaternion has length {:?}: it must be normalised", (.length * 1e3).round() / 1e3)]
     QuaternionNotNormalized {
         /// Its length.
         length: f64,
@@ -356,7 +358,7 @@ impl App {
     /// Takes the velocity of the base as it is now: the prediction where there is no odometry.
     pub fn on_velocity(&mut self, message: &Twist) -> Result<(), InputError> {
         let twist = Twist2 { vx: message.linear.x, vy: message.linear.y, omega: message.angular.z };
-        self.count_refused(if twist.is_finite() { Ok(()) } else { Err(InputError::VelocityNotFinite) })?;
+        self.count_refused(if is_possible(&twist) { Ok(()) } else { Err(InputError::VelocityNotFinite) })?;
         self.odometry.set_velocity(twist);
         Ok(())
     }
@@ -521,7 +523,7 @@ fn failure(problem: &Unusable) -> Failure {
 pub fn planar_pose(pose: &Pose) -> Result<Pose2, InputError> {
     let yaw = yaw(&pose.orientation)?;
     let planar = Pose2::new(pose.position.x, pose.position.y, yaw);
-    if planar.is_finite() { Ok(planar) } else { Err(InputError::PoseNotFinite) }
+    if planar.is_finite() && planar.distance() <= FARTHEST { Ok(planar) } else { Err(InputError::PoseNotFinite) }
 }
 
 fn yaw(q: &Quaternion) -> Result<f64, InputError> {
@@ -535,8 +537,12 @@ fn yaw(q: &Quaternion) -> Result<f64, InputError> {
     Ok(q.yaw())
 }
 
+fn is_possible(twist: &Twist2) -> bool {
+    [twist.vx, twist.vy, twist.omega].iter().all(|velocity| velocity.abs() <= FASTEST)
+}
+
 /// A twist of zeros says nothing: that is how drivers without velocities leave it, and a robot at rest needs none.
 fn planar_twist(twist: &Twist) -> Option<Twist2> {
     let planar = Twist2 { vx: twist.linear.x, vy: twist.linear.y, omega: twist.angular.z };
-    (planar.is_finite() && planar != Twist2::default()).then_some(planar)
+    (is_possible(&planar) && planar != Twist2::default()).then_some(planar)
 }

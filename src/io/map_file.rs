@@ -98,6 +98,19 @@ pub fn read(path: &Path) -> Result<OccupancyGrid, MapError> {
     OccupancyGrid::new(width, description.resolution, Pose2::new(x, y, yaw), cells).map_err(|error| not_a_map(error.to_string()))
 }
 
+/// The image that a map's YAML file names, if it is such a file.
+pub fn image_of(path: &Path) -> Option<PathBuf> {
+    let description: Description = yaml::from_str(&std::fs::read_to_string(path).ok()?).ok()?;
+    Some(description.image_path(path))
+}
+
+impl Description {
+    /// The image's, where the YAML file is `path`.
+    fn image_path(&self, path: &Path) -> PathBuf {
+        path.parent().unwrap_or(Path::new("")).join(&self.image)
+    }
+}
+
 fn check(map: &Description, path: &Path) -> Result<(), MapError> {
     let bad = |field, value: &dyn Display, remedy| {
         Err(MapError::BadField { path: path.into(), field, value: value.to_string(), remedy })
@@ -127,7 +140,7 @@ fn check(map: &Description, path: &Path) -> Result<(), MapError> {
 
 /// The width of the image, and its pixels as cells from the lower left upwards.
 fn read_cells(map: &Description, path: &Path) -> Result<(usize, Vec<Cell>), MapError> {
-    let image_path = path.parent().unwrap_or(Path::new("")).join(&map.image);
+    let image_path = map.image_path(path);
     let image = GrayImage::read(&image_path).map_err(|problem| MapError::BadImage {
         path: path.into(),
         image: image_path.clone(),

@@ -57,7 +57,7 @@ pub fn localize<E: From<BagError>>(
         let scan = match sensed(message) {
             Ok(scan) => scan,
             Err(error) => {
-                log.note(&error);
+                log.note(None, &error.to_string());
                 return Ok(());
             }
         };

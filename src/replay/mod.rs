@@ -11,6 +11,7 @@ pub mod summary;
 pub mod survey;
 pub mod truth;
 
+use std::fmt;
 use std::time::Duration;
 
 use crate::anytime::clock::Clock;
@@ -111,10 +112,34 @@ pub struct Source<'a> {
 /// Problems during a replay.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReplayLog {
-    /// Messages that could not be read or used, in words: the first ones.
-    pub problems: Vec<String>,
-    /// How many there were in all.
+    /// Messages that could not be read or used: of each kind the first, and how many.
+    unusable: Vec<UnusableMessages>,
+    /// What was odd in those that could.
+    remarks: Vec<String>,
+    /// How many could not, in all.
     pub unusable_messages: u64,
+}
+
+/// Messages that could not be used for the same reason.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct UnusableMessages {
+    reason: String,
+    /// When, where the reason does not say.
+    first: Option<Stamp>,
+    count: u64,
+}
+
+impl fmt::Display for UnusableMessages {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { reason, first, count } = self;
+        f.write_str(reason)?;
+        match (count, first) {
+            (1, None) => Ok(()),
+            (1, Some(first)) => write!(f, " (at {first})"),
+            (_, None) => write!(f, " ({count} messages)"),
+            (_, Some(first)) => write!(f, " ({count} messages, the first at {first})"),
+        }
+    }
 }
 
 impl ReplayLog {
@@ -124,17 +149,25 @@ impl ReplayLog {
     /// lost. Empty if unknown.
     pub fn reasons(&self, bag: &Bag, unusable: &[String]) -> String {
         let messages =
-            self.problems.first().map(|first| format!("{} unusable messages, the first: {first}", self.unusable_messages));
+            self.unusable.first().map(|first| format!("{} unusable messages, the first: {first}", self.unusable_messages));
         let lost = bag.problems();
         let of_messages = messages.into_iter().chain(lost.iter().map(ToString::to_string));
         let reasons: Vec<String> = if unusable.is_empty() { of_messages.collect() } else { unusable.to_vec() };
         if reasons.is_empty() { String::new() } else { format!(": {}", reasons.join("; ")) }
     }
 
-    fn note(&mut self, problem: &dyn std::fmt::Display) {
+    /// What the user should know, in words: the first kinds of messages that could not be used, and what was odd.
+    pub fn problems(&self) -> impl Iterator<Item = String> {
+        self.unusable.iter().map(ToString::to_string).chain(self.remarks.iter().cloned())
+    }
+
+    /// Takes note of a message that could not be used.
+    fn note(&mut self, time: Option<Stamp>, reason: &str) {
         self.unusable_messages += 1;
-        if self.problems.len() < Self::KEPT {
-            self.problems.push(problem.to_string());
+        if let Some(known) = self.unusable.iter_mut().find(|known| known.reason == reason) {
+            known.count += 1;
+        } else if self.unusable.len() < Self::KEPT {
+            self.unusable.push(UnusableMessages { reason: reason.into(), first: time, count: 1 });
         }
     }
 }
@@ -163,7 +196,7 @@ pub fn replay<E: From<BagError>>(
                 on_estimate(&scan, estimate, app)?;
                 answered.maintain(&Never);
             }
-            Err(error) => log.note(&error),
+            Err(error) => log.note(None, &error.to_string()),
         }
         Ok(())
     })
@@ -185,7 +218,7 @@ fn feed<L: Answering, E>(
         let message = match message {
             Ok(message) => message,
             Err(error) => {
-                log.note(&error);
+                log.note(None, &error.to_string());
                 continue;
             }
         };
@@ -196,7 +229,7 @@ fn feed<L: Answering, E>(
         if is_scan {
             held = Some(HeldScan::new(message));
         } else if let Err(problem) = take(listener, topics, &message) {
-            log.note(&problem);
+            log.note(Some(message.time), &problem);
         }
         if let Some(scan) = held.take_if(|scan| !scan.can_wait(listener, scan.message.time)) {
             answer(&scan.message, listener, &mut log)?;
@@ -205,7 +238,7 @@ fn feed<L: Answering, E>(
     if let Some(scan) = held {
         answer(&scan.message, listener, &mut log)?;
     }
-    log.problems.extend(listener.take_remarks());
+    log.remarks = listener.take_remarks();
     Ok(log)
 }
 
@@ -229,7 +262,7 @@ impl<'bag> HeldScan<'bag> {
 
 fn take(listener: &mut impl Answering, topics: &Topics, message: &BagMessage) -> Result<(), String> {
     let topic = message.connection.topic.as_str();
-    let in_words = |problem: &dyn std::fmt::Display| format!("{topic} at {}: {problem}", message.time);
+    let in_words = |problem: &dyn fmt::Display| format!("{topic}: {problem}");
     if topics.odometry.as_deref() == Some(topic) {
         let odometry = message.decode().map_err(|e| e.to_string())?;
         listener.on_odometry(&odometry).map_err(|e| in_words(&e))

@@ -58,7 +58,7 @@ impl Ending {
     /// Problems worth knowing, each with its remedy where there is one.
     fn problems(&self) -> Vec<String> {
         let mut problems = self.bag_problems.clone();
-        problems.extend(self.log.problems.iter().cloned());
+        problems.extend(self.log.problems());
         problems.extend(self.mount_source.reservation().map(Into::into));
         problems.extend(self.counters.in_words());
         problems

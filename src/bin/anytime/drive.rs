@@ -187,7 +187,7 @@ fn replanning(arguments: &Arguments) -> anyhow::Result<Option<Late>> {
 fn check_files(arguments: &Arguments) -> anyhow::Result<()> {
     let written = arguments.out.as_ref().map(|out| ["report.html", "figures.json"].map(|name| out.join(name)));
     let files = Files::default()
-        .read("--world", Some(Path::new(&arguments.world)))
+        .read_map("--world", Some(Path::new(&arguments.world)))
         .read("--path", arguments.path.as_deref())
         .read("--costs", arguments.costs.as_deref())
         .read("--config", arguments.configuration.file());

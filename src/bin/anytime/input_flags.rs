@@ -10,6 +10,7 @@ use anytime_scan_matcher::anytime::clock::ProcessorClock;
 use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock, VirtualClock};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::io::bag::{Bag, BagError};
+use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::output::{Role, check_roles};
 use anytime_scan_matcher::replay::Topics;
 use clap::{Args, ValueEnum};
@@ -61,12 +62,18 @@ pub(crate) struct Files<'a> {
 
 impl<'a> Files<'a> {
     pub(crate) fn read(mut self, role: &'a str, path: Option<&'a Path>) -> Self {
-        self.inputs.extend(path.map(|path| (role, path)));
+        self.inputs.extend(path.map(|path| (role, path.into())));
         self
     }
 
+    /// Where the path is that of a map, its image is read, too.
+    pub(crate) fn read_map(mut self, role: &'a str, path: Option<&'a Path>) -> Self {
+        self.inputs.extend(path.and_then(map_file::image_of).map(|image| ("the image of the map", image.into())));
+        self.read(role, path)
+    }
+
     pub(crate) fn written(mut self, role: &'a str, path: Option<&'a Path>) -> Self {
-        self.outputs.extend(path.map(|path| (role, path)));
+        self.outputs.extend(path.map(|path| (role, path.into())));
         self
     }
 
@@ -76,7 +83,7 @@ impl<'a> Files<'a> {
         self.read("--truth", path(&flags.truth))
             .read("--config", flags.configuration.file())
             .read("contract.profile", path(&config.contract.profile))
-            .read("localization.map", path(&config.localization.map))
+            .read_map("localization.map", path(&config.localization.map))
     }
 
     /// What is printed of a run that has written its files: `value` as JSON, or `text`. Where the files are, standard error says.

@@ -104,7 +104,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let matched = trajectory.zip(truth).map(|(trajectory, truth)| associate(&trajectory, &truth, Comparison::default().max_dt));
     let matched = matched.transpose()?;
     let errors = matched.and_then(|matched| summary.errors(&matched));
-    let mut problems: Vec<String> = bag.problems().iter().map(ToString::to_string).chain(log.problems).collect();
+    let mut problems: Vec<String> = bag.problems().iter().map(ToString::to_string).chain(log.problems()).collect();
     problems.extend(reservations(&localizer));
     let text = files(arguments, &config).shown(
         arguments.json,
@@ -192,7 +192,7 @@ fn files<'a>(arguments: &'a Arguments, config: &'a Config) -> Files<'a> {
         .of(&arguments.input, config)
         .read("the bag", Some(&arguments.bag))
         .read("contract.cost_file", config.contract.cost_file.as_deref().map(Path::new))
-        .read("--map", arguments.map.as_deref())
+        .read_map("--map", arguments.map.as_deref())
         .written("--tum", arguments.tum.as_deref())
         .written("--csv", arguments.csv.as_deref())
 }

@@ -169,7 +169,7 @@ impl Survey {
         let assumed = app.mount().1.reservation().map(Into::into);
         let counted = app.odometry_counters().in_words();
         self.problems.extend(bag.problems().iter().map(ToString::to_string));
-        self.problems.extend(log.problems.into_iter().chain(unusable).chain(assumed).chain(counted));
+        self.problems.extend(log.problems().chain(unusable).chain(assumed).chain(counted));
         Ok(())
     }
 }

@@ -89,8 +89,8 @@ fn check_files(arguments: &Arguments, config: &Config) -> anyhow::Result<()> {
         .of(&arguments.input, config)
         .read("contract.cost_file", config.contract.cost_file.as_deref().map(Path::new))
         .read("the bag", arguments.bag.as_deref())
-        .read("--world", arguments.world.as_deref().map(Path::new))
-        .read("--map", arguments.map.as_deref());
+        .read_map("--world", arguments.world.as_deref().map(Path::new))
+        .read_map("--map", arguments.map.as_deref());
     let written = written.iter().take(WRITTEN.len() - simulated);
     written.fold(files, |files, path| files.written("a file of --out", Some(path))).check()
 }
