@@ -123,7 +123,8 @@ fn nearest_of_each_direction(
     let increment = TAU / f64::from(knobs.beams);
     let first = 0.5 * increment - PI;
     let mut directions = BeamGeometry::new(first, increment, beams).directions().to_vec();
-    let mut ranges = vec![f64::INFINITY; beams]; // no measurement
+    // No measurement, where an infinite range would say that nothing is there: a cloud has as many directions as it has points.
+    let mut ranges = vec![f64::NAN; beams];
     for point in points {
         let range = point.norm();
         if !(knobs.range_min..=knobs.range_max).contains(&range) || range == 0.0 {
@@ -131,7 +132,7 @@ fn nearest_of_each_direction(
         }
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a fraction of a turn
         let beam = (((point.y.atan2(point.x) + PI) / increment) as usize).min(beams - 1);
-        if range < ranges[beam] {
+        if ranges[beam].is_nan() || range < ranges[beam] {
             ranges[beam] = range;
             directions[beam] = point / range;
         }
@@ -303,6 +304,7 @@ mod tests {
         cloud.data.extend(nearer.data);
         (cloud.height, cloud.row_step) = (2, 16 * 400);
         let made = scan(&cloud, &CloudKnobs::default(), &Isometry3::identity()).unwrap();
+        assert!((0..made.len()).all(|i| !made.saw_nothing(i)), "between its points a cloud says nothing");
         assert!(made.rays().all(|(_, _, range)| (range - 1.5).abs() < 1e-6));
         let far = CloudKnobs { range_min: 1.7, ..CloudKnobs::default() };
         assert!(scan(&cloud, &far, &Isometry3::identity()).unwrap().rays().all(|(_, _, range)| (range - 2.0).abs() < 1e-6));

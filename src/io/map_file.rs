@@ -98,17 +98,19 @@ pub fn read(path: &Path) -> Result<OccupancyGrid, MapError> {
     OccupancyGrid::new(width, description.resolution, Pose2::new(x, y, yaw), cells).map_err(|error| not_a_map(error.to_string()))
 }
 
-/// The image that a map's YAML file names, if it is such a file.
+/// The image that a YAML file names, if it does.
 pub fn image_of(path: &Path) -> Option<PathBuf> {
-    let description: Description = yaml::from_str(&std::fs::read_to_string(path).ok()?).ok()?;
-    Some(description.image_path(path))
+    #[derive(Deserialize)]
+    struct Named {
+        image: PathBuf,
+    }
+    let named: Named = yaml::from_str(&std::fs::read_to_string(path).ok()?).ok()?;
+    Some(beside(path, &named.image))
 }
 
-impl Description {
-    /// The image's, where the YAML file is `path`.
-    fn image_path(&self, path: &Path) -> PathBuf {
-        path.parent().unwrap_or(Path::new("")).join(&self.image)
-    }
+/// Where the image is that the YAML file `path` names.
+fn beside(path: &Path, image: &Path) -> PathBuf {
+    path.parent().unwrap_or(Path::new("")).join(image)
 }
 
 fn check(map: &Description, path: &Path) -> Result<(), MapError> {
@@ -140,7 +142,7 @@ fn check(map: &Description, path: &Path) -> Result<(), MapError> {
 
 /// The width of the image, and its pixels as cells from the lower left upwards.
 fn read_cells(map: &Description, path: &Path) -> Result<(usize, Vec<Cell>), MapError> {
-    let image_path = map.image_path(path);
+    let image_path = beside(path, &map.image);
     let image = GrayImage::read(&image_path).map_err(|problem| MapError::BadImage {
         path: path.into(),
         image: image_path.clone(),

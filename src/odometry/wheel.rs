@@ -2,6 +2,8 @@
 
 use std::collections::VecDeque;
 
+use super::prediction::Prediction;
+use super::{source_noise, uncertainty};
 use crate::geometry::{Pose2, Twist2};
 use crate::time::Stamp;
 
@@ -15,6 +17,9 @@ const GOOD_EXTRAPOLATION: f64 = 0.05;
 const MAX_SPEED: f64 = 30.0;
 /// ... and farther than odometry is ever rounded is a reset of the odometry, m.
 const MAX_JUMP: f64 = 0.5;
+
+/// A velocity that leads this many standard deviations from where the poses lead is of another frame, or wrong.
+const CONTRADICTING: f64 = 3.0;
 
 /// One odometry message.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,13 +114,16 @@ impl WheelOdometry {
         }
     }
 
+    /// Its own where the poses bear it out: not every driver gives it in the frame of the base.
     fn last_twist(&self) -> Twist2 {
         let Some(last) = self.samples.back() else { return Twist2::default() };
-        let from_poses = || {
-            let before = self.samples.len().checked_sub(2).map(|i| self.samples[i])?;
-            Some(Twist2::of_motion(&before.pose.between(&last.pose), last.stamp.seconds_since(before.stamp)))
-        };
-        last.twist.or_else(from_poses).unwrap_or_default()
+        let is_earlier = |sample: &&WheelSample| last.stamp.seconds_since(sample.stamp) >= GOOD_EXTRAPOLATION;
+        let before = self.samples.iter().rev().find(is_earlier).or(self.samples.front()).filter(|before| before.stamp < last.stamp);
+        let Some(before) = before else { return last.twist.unwrap_or_default() };
+        let (moved, seconds) = (before.pose.between(&last.pose), last.stamp.seconds_since(before.stamp));
+        let by_poses = Prediction { motion: moved, covariance: uncertainty::of_wheels(&moved, seconds) };
+        let is_borne_out = |twist: &Twist2| source_noise::deviation(&by_poses, &twist.motion(seconds)) < CONTRADICTING;
+        last.twist.filter(is_borne_out).unwrap_or_else(|| Twist2::of_motion(&moved, seconds))
     }
 }
 
@@ -158,11 +166,16 @@ mod tests {
     }
 
     #[test]
-    fn a_twist_in_the_message_is_better_than_differences() {
-        let mut odometry = WheelOdometry::default();
-        odometry.push(sample(0.0, 0.0));
-        odometry.push(WheelSample { twist: Some(Twist2 { vx: 3.0, vy: 0.0, omega: 0.0 }), ..sample(0.1, 0.1) });
-        assert!((motion(&odometry, 0.1, 0.2).unwrap() - 0.3).abs() < 1e-9);
+    fn a_twist_in_the_message_is_better_than_differences_unless_they_contradict_it() {
+        let ahead = |twist: Twist2| {
+            let mut odometry = WheelOdometry::default();
+            odometry.push(sample(0.0, 0.0));
+            odometry.push(WheelSample { twist: Some(twist), ..sample(0.1, 0.2) });
+            odometry.motion(Stamp::from_seconds(0.1), Stamp::from_seconds(0.2)).unwrap()
+        };
+        assert!((ahead(Twist2 { vx: 2.3, vy: 0.0, omega: 0.0 }).x - 0.23).abs() < 1e-9);
+        let sideways = ahead(Twist2 { vx: 0.0, vy: -2.0, omega: 0.0 });
+        assert!((sideways.x - 0.2).abs() < 1e-9 && sideways.y.abs() < 1e-9, "the velocity of a camera that looks sideways: {sideways:?}");
     }
 
     #[test]
