@@ -198,7 +198,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         std::os::unix::fs::symlink("a", path("link")).unwrap();
-        let clash = |input: &str, output: &str| check_roles(&[("in", path(input).into())], &[("out", path(output).into())]).is_err();
+        let clash =
+            |input: &str, output: &str| check_roles(&[("in", path(input).into())], &[("out", path(output).into())]).is_err();
         assert!(clash("a", "link") && clash("a", "./a") && clash("link", "a") && !clash("a", "b"));
         write(&path("link"), "1").unwrap();
         assert!(path("link").is_symlink() && fs::read_to_string(path("a")).unwrap() == "1");
@@ -207,7 +208,8 @@ mod tests {
         let null = Path::new("/dev/null");
         assert!(check_roles(&[], &[("--tum", null.into()), ("--csv", null.into())]).is_ok());
         let (a, same) = (path("a"), path("./a"));
-        let problem = check_roles(&[], &[("--tum", a.as_path().into()), ("--csv", same.as_path().into())]).unwrap_err().to_string();
+        let problem =
+            check_roles(&[], &[("--tum", a.as_path().into()), ("--csv", same.as_path().into())]).unwrap_err().to_string();
         assert!(problem.contains("--csv and --tum are the same file"), "{problem}");
     }
 }

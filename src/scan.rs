@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::geometry::{Point, Twist2};
+use crate::geometry::{Point, Twist2, wrap_angle};
 use crate::messages::sensor_msgs::LaserScan;
 use crate::quantile::quantile;
 use crate::time::Stamp;
@@ -30,6 +30,8 @@ const WIDE: f64 = FRAC_PI_2;
 const SAME_RANGE: f64 = 0.05;
 /// So many of the rays read the same where the surface that they meet goes along with the laser.
 const ALL_ROUND: f64 = 0.95;
+/// Scans that share less of their directions are of different things, rad; of narrow views half must do.
+const LEAST_SHARED_VIEW: f64 = 0.5;
 /// A sweep may exceed a full turn by a beam, which then looks where the first one does, and by this much, rad: the rounding of the
 /// message's 32-bit angles.
 const FULL_TURN_TOLERANCE: f64 = 1e-4;
@@ -155,6 +157,12 @@ pub struct BeamGeometry {
     is_even: bool,
 }
 
+/// The directions that a laser looks in, rad.
+struct FieldOfView {
+    middle: f64,
+    width: f64,
+}
+
 impl BeamGeometry {
     /// Beam `i` points to `angle_min + i * angle_increment`, rad.
     pub fn new(angle_min: f64, angle_increment: f64, beams: usize) -> Self {
@@ -200,6 +208,12 @@ impl BeamGeometry {
     /// Unit vectors of the beams.
     pub fn directions(&self) -> &[Point] {
         &self.directions
+    }
+
+    /// The directions it looks in.
+    fn view(&self) -> FieldOfView {
+        let sweep = self.len().saturating_sub(1) as f64 * self.angle_increment;
+        FieldOfView { middle: self.angle_min + 0.5 * sweep, width: sweep.abs() }
     }
 
     /// Angle between the last beam and the first one, the way that the sweep leaves out, rad. About zero or one increment for a
@@ -335,6 +349,24 @@ impl Scan {
         let beams = Arc::new(BeamGeometry::about(self.beams.angle_min, self.beams.angle_increment, directions));
         let nothing_seen = self.nothing_seen.clone();
         Self { stamp: self.stamp, beams, ranges, valid: self.valid, nothing_seen, reach: self.reach, time_increment: 0.0 }
+    }
+
+    /// Whether another scan, taken near by with the laser turned by `turn` against this one, looks in some of the same directions.
+    ///
+    /// ```
+    /// use anytime_scan_matcher::scan::{BeamGeometry, Scan};
+    /// use anytime_scan_matcher::time::Stamp;
+    ///
+    /// let beams = BeamGeometry::new(-1.57, 0.0174, 181); // to the front, 180 degrees
+    /// let scan = Scan::new(Stamp::default(), beams.into(), (0.1, 30.0), vec![2.0; 181]).unwrap();
+    /// assert!(scan.shares_view_with(&scan, 1.57) && !scan.shares_view_with(&scan, 3.14));
+    /// ```
+    pub fn shares_view_with(&self, other: &Self, turn: f64) -> bool {
+        let (own, others) = (self.beams.view(), other.beams.view());
+        let apart = wrap_angle(turn + others.middle - own.middle).abs();
+        let within = 0.5 * (own.width + others.width);
+        let shared = (within - apart).max(0.0) + (within - (TAU - apart)).max(0.0);
+        shared >= LEAST_SHARED_VIEW.min(0.5 * own.width.min(others.width))
     }
 
     /// Directions of its beams.

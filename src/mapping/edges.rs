@@ -16,6 +16,8 @@ use crate::scan::Scan;
 const LEAST_ERROR: f64 = 0.005;
 /// ... and rad.
 const LEAST_TURN_ERROR: f64 = 0.001;
+/// Of two keyframes that are nearer to one another, m, both see the same only where both look in the same direction.
+const NEAR: f64 = 2.0;
 /// Along a direction that pairs leave open so much is unknown, m (and rad): more than anything that is known.
 const OPEN: f64 = 100.0;
 
@@ -51,6 +53,10 @@ impl EdgeMatcher {
 
     /// Where `later` was seen from `earlier`; `None` where nothing fits.
     pub(super) fn compare(&mut self, earlier: &Arc<View>, later: &View, guess: impl Into<FirstGuess>) -> Option<Match> {
+        let guess = guess.into();
+        if guess.pose.distance() < NEAR && !earlier.scan().shares_view_with(later.scan(), guess.pose.theta) {
+            return None;
+        }
         self.matcher.set_views(&[PlacedView::at_origin(Arc::clone(earlier))]);
         let mut refinement = self.matcher.begin(later.scan(), guess);
         let stop_reason = loop {

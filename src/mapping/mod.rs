@@ -151,8 +151,9 @@ impl Mapper {
         let odom_from_laser = sighting.odom_from_laser();
         self.is_lost |= sighting.passage == Passage::Lost;
         let is_start = sighting.passage == Passage::Start || self.keyframes.is_empty();
-        let last = self.keyframes.last().map(|last| last.odom_from_laser.between(&odom_from_laser));
-        let becomes_keyframe = is_start || self.is_lost || last.is_none_or(|motion| Spacing::KEYFRAMES.is_exceeded_by(&motion));
+        // Two lasers may take turns.
+        let mut last = self.keyframes.iter().rev().take(2).map(|last| last.odom_from_laser.between(&odom_from_laser));
+        let becomes_keyframe = is_start || self.is_lost || last.all(|motion| Spacing::KEYFRAMES.is_exceeded_by(&motion));
         self.add_step(sighting.scan.stamp(), sighting.odom_from_base, odom_from_laser, is_start, becomes_keyframe);
         let moved = self.last_drawn.map(|last| last.between(&odom_from_laser));
         if is_start || becomes_keyframe || moved.is_none_or(|moved| self.drawn_spacing.is_exceeded_by(&moved)) {

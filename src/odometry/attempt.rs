@@ -33,6 +33,13 @@ pub(super) struct Last {
     pub(super) passed_over: bool,
 }
 
+impl Last {
+    /// The place of its laser on the base.
+    pub(super) fn base_from_laser(&self) -> Pose2 {
+        self.map_from_base.between(&self.map_from_laser)
+    }
+}
+
 /// A scan to be matched.
 #[derive(Clone, Copy)]
 pub(super) struct Attempt {

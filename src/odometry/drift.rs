@@ -62,7 +62,13 @@ mod tests {
     fn place(pose: Pose2, position: f64, heading: f64) -> Placement {
         let step_covariance =
             PoseCovariance::from_diagonal(&[position * position, position * position, heading * heading].into());
-        Placement { stamp: Stamp::default(), map_from_laser: pose, covariance: PoseCovariance::zeros(), step_covariance }
+        Placement {
+            stamp: Stamp::default(),
+            map_from_laser: pose,
+            base_from_laser: Pose2::IDENTITY,
+            covariance: PoseCovariance::zeros(),
+            step_covariance,
+        }
     }
 
     /// 20 m along x, round a corner, and 20 m along y; headings are as sure as the steps, but for the one at the corner.

@@ -12,6 +12,7 @@ use super::placement::Placement;
 use super::{drift, uncertainty};
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::{COARSE_VIEWS, PlacedView, View};
+use crate::scan::Scan;
 
 /// A turn by this much makes two views as different as a metre between them does, rad.
 const METRE_OF_TURN: f64 = 1.0;
@@ -43,6 +44,13 @@ struct Keyframe {
     view: Arc<View>,
     /// Way along the path from the first keyframe to this one, m.
     way: f64,
+}
+
+impl Keyframe {
+    /// Its laser's heading, seen from another's.
+    fn heading_from(&self, map_from_laser: &Pose2) -> f64 {
+        self.place.map_from_laser.theta - map_from_laser.theta
+    }
 }
 
 /// Two places of the path, by the ways to them, that are one.
@@ -91,7 +99,7 @@ impl LocalMap {
         let way = self
             .keyframes
             .back()
-            .map_or(0.0, |last| last.way + last.place.map_from_laser.between(&place.map_from_laser).distance());
+            .map_or(0.0, |last| last.way + last.place.map_from_base().between(&place.map_from_base()).distance());
         while self.keyframes.len() >= most.max(1) {
             self.keyframes.pop_front();
         }
@@ -135,17 +143,22 @@ impl LocalMap {
     }
 
     /// `count` keyframes that saw some of what is seen from a pose, the nearest ones and some around, as views of the first one's laser;
-    /// where that was. Only those that are connected with the ones that scans were matched to before. The last keyframe is always near
-    /// enough.
+    /// where that was. Only those that are connected with the ones that scans were matched to before, and that look where `scan` does, if
+    /// it is known. The last keyframe is always near enough.
     pub(super) fn views_around(
         &mut self,
         map_from_laser: &Pose2,
+        scan: Option<&Scan>,
         count: usize,
         views: &mut Vec<PlacedView>,
     ) -> Option<Placement> {
         let last = self.keyframes.len().checked_sub(1)?;
         let now = self.way();
-        self.find_near(map_from_laser, |map, way| way >= now || map.is_known(way));
+        self.find_near(map_from_laser, |map, keyframe| {
+            let is_seen =
+                scan.is_none_or(|scan| scan.shares_view_with(keyframe.view.scan(), keyframe.heading_from(map_from_laser)));
+            is_seen && (keyframe.way >= now || map.is_known(keyframe.way))
+        });
         if self.near.is_empty() {
             self.near.push((REACH, last));
         }
@@ -166,7 +179,7 @@ impl LocalMap {
         count: usize,
         views: &mut Vec<PlacedView>,
     ) -> Option<Unrecognised> {
-        self.find_near(map_from_laser, |map, way| !map.is_known(way));
+        self.find_near(map_from_laser, |map, keyframe| !map.is_known(keyframe.way));
         let &Keyframe { place: Placement { map_from_laser, covariance, .. }, way, .. } = &self.keyframes[self.near.first()?.1];
         let mut near = std::mem::take(&mut self.near);
         near.retain(|&(_, i)| self.connected(way).any(|stretch| stretch.contains(&self.keyframes[i].way)));
@@ -229,14 +242,14 @@ impl LocalMap {
         std::iter::once(around(way, SHORT_WAY)).chain(by_links)
     }
 
-    /// Notes the keyframes within reach that are admitted by the way to them, the ones that saw most first.
-    fn find_near(&mut self, map_from_laser: &Pose2, admits: impl Fn(&Self, f64) -> bool) {
+    /// Notes the keyframes within reach that are admitted, the ones that saw most first.
+    fn find_near(&mut self, map_from_laser: &Pose2, admits: impl Fn(&Self, &Keyframe) -> bool) {
         self.find_known();
         let mut near = std::mem::take(&mut self.near);
         near.clear();
         for (i, keyframe) in self.keyframes.iter().enumerate() {
             let difference = difference(map_from_laser, keyframe);
-            if difference <= REACH && admits(self, keyframe.way) {
+            if difference <= REACH && admits(self, keyframe) {
                 near.push((difference, i));
             }
         }
@@ -294,7 +307,8 @@ mod tests {
         let mut map = LocalMap::default();
         for &(x, y) in places {
             let (covariance, step_covariance) = (PoseCovariance::zeros(), uncertainty::diagonal(0.01, 1e-6));
-            let place = Placement { stamp: Stamp::default(), map_from_laser: Pose2::new(x, y, 0.0), covariance, step_covariance };
+            let (stamp, map_from_laser, base_from_laser) = (Stamp::default(), Pose2::new(x, y, 0.0), Pose2::IDENTITY);
+            let place = Placement { stamp, map_from_laser, base_from_laser, covariance, step_covariance };
             map.add(place, Arc::clone(&view), false, most);
             around(&mut map, (x, y), 1);
         }
@@ -303,7 +317,7 @@ mod tests {
 
     fn around(map: &mut LocalMap, (x, y): (f64, f64), count: usize) -> Vec<(f64, f64)> {
         let mut views = Vec::new();
-        let first = map.views_around(&Pose2::new(x, y, 0.0), count, &mut views).unwrap().map_from_laser;
+        let first = map.views_around(&Pose2::new(x, y, 0.0), None, count, &mut views).unwrap().map_from_laser;
         views.iter().map(|placed| first * placed.reference_from_view).map(|pose| (pose.x, pose.y)).collect()
     }
 

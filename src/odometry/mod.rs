@@ -64,6 +64,8 @@ const MAX_ACCELERATION: f64 = 30.0;
 const MAX_TURN_ACCELERATION: f64 = 100.0;
 /// So many times as long as usual after the last one, a scan has come late, or the clock was set. Less than that a search bridges.
 const LATE_BY_PERIODS: f64 = 4.0;
+/// Two places of a laser on the base, m and rad, are one when they differ by less: tf jitters.
+const SAME_MOUNT: f64 = 0.05;
 /// Weight of the last scan in the usual agreement and period.
 const USUAL_WEIGHT: f64 = 0.05;
 /// Time that the usual velocity is of, s.
@@ -388,6 +390,9 @@ impl LaserOdometry {
             let (map_from_base, covariance) = attempt.predicted_base();
             return self.answer_first(scan, base_from_laser, map_from_base, covariance);
         };
+        let Some(keyframe) = self.keyframe_seen_by(scan, keyframe, &attempt) else {
+            return self.answer_unseen(scan, &attempt);
+        };
         let first_guess = keyframe.map_from_laser.between(&attempt.predicted_laser());
         let mut found = self.match_to(&keyframe, scan, &attempt, first_guess, driver);
         if let Some((set_forward, fits)) = self.match_where_the_clock_was_set(&keyframe, scan, &attempt, &found, driver) {
@@ -414,9 +419,10 @@ impl LaserOdometry {
         match found.answer {
             Ok(answer) => self.conclude(scan, base_from_laser, answer, becomes_keyframe),
             Err(problem) => {
-                // Where there was no time to match, nothing speaks against the keyframe.
+                // Where there was no time to match, or another laser took it, nothing speaks against the keyframe.
                 let no_time = found.report.iterations == 0 && !found.report.stop_reason.is_failure();
-                self.answer_predicted(scan, &attempt, Some(found.report), problem, becomes_keyframe, !no_time)
+                let is_lost = !no_time && is_same_mount(&keyframe.base_from_laser, base_from_laser);
+                self.answer_predicted(scan, &attempt, Some(found.report), problem, becomes_keyframe || !no_time, is_lost)
             }
         }
     }
@@ -556,10 +562,38 @@ impl LaserOdometry {
 
     /// The next scan is matched to the keyframes around the last one.
     fn choose_views(&mut self) {
-        let Some(last) = self.last else { return };
+        if let Some(last) = self.last {
+            self.choose_views_around(&last, &last.map_from_laser, None);
+        }
+    }
+
+    /// The keyframe to match a scan to: the one chosen around the last scan, unless this one is of a laser elsewhere on the base, as when two
+    /// take turns. `None`: none has looked where it does.
+    fn keyframe_seen_by(&mut self, scan: &Scan, chosen: Placement, attempt: &Attempt) -> Option<Placement> {
+        let predicted = attempt.predicted_laser();
+        if !is_same_mount(&attempt.last.base_from_laser(), &attempt.base_from_laser) {
+            self.choose_views_around(&attempt.last, &predicted, Some(scan));
+        }
+        let chosen = self.keyframe.unwrap_or(chosen);
+        let turn = chosen.map_from_laser.theta - predicted.theta;
+        let is_seen = self.views.first().is_some_and(|placed| scan.shares_view_with(placed.view.scan(), turn));
+        is_seen.then_some(chosen)
+    }
+
+    /// A scan that looks where none has looked is answered by the prediction; others can be matched to it.
+    fn answer_unseen(&mut self, scan: &Scan, attempt: &Attempt) -> Registration {
+        self.counters.predicted += 1;
+        let problem = Failure::new(
+            FailureReason::TooFewCorrespondences,
+            "it looks where no scan has looked before: there is nothing to match",
+        );
+        self.conclude(scan, &attempt.base_from_laser, Answer::predicted(attempt, problem), true)
+    }
+
+    fn choose_views_around(&mut self, last: &Last, map_from_laser: &Pose2, scan: Option<&Scan>) {
         let count = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.views } else { 1 };
         let before = self.keyframe.map(|keyframe| keyframe.stamp);
-        self.keyframe = self.map.views_around(&last.map_from_laser, count as usize, &mut self.views);
+        self.keyframe = self.map.views_around(map_from_laser, scan, count as usize, &mut self.views);
         if let Some(keyframe) = self.keyframe.filter(|keyframe| Some(keyframe.stamp) != before) {
             let keyframe_from_base = keyframe.map_from_laser.between(&last.map_from_base);
             self.approach = Approach { stamp: last.stamp, keyframe_from_base };
@@ -855,7 +889,8 @@ impl LaserOdometry {
             self.counters.keyframes += 1;
             let covariance =
                 uncertainty::compound(&answer.map_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
-            let place = Placement { stamp: scan.stamp(), map_from_laser, covariance, step_covariance: answer.step_covariance };
+            let (stamp, base_from_laser, step_covariance) = (scan.stamp(), *base_from_laser, answer.step_covariance);
+            let place = Placement { stamp, map_from_laser, base_from_laser, covariance, step_covariance };
             self.upcoming_keyframe = Some(UpcomingKeyframe { scan: scan.clone(), place, is_lost });
         }
         self.last = Some(Last {
@@ -880,6 +915,12 @@ impl LaserOdometry {
             ..self.registration(answer.outcome, answer.map_from_base, &answer.covariance)
         }
     }
+}
+
+/// Whether two places on the base are those of one laser.
+fn is_same_mount(one: &Pose2, other: &Pose2) -> bool {
+    let moved = one.between(other);
+    moved.distance() + moved.theta.abs() <= SAME_MOUNT
 }
 
 /// Whether a robot can come from one velocity to the other within `seconds`.

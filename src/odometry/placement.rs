@@ -10,8 +10,17 @@ pub(super) struct Placement {
     pub(super) stamp: Stamp,
     /// Pose of the laser.
     pub(super) map_from_laser: Pose2,
+    /// Its place on the base.
+    pub(super) base_from_laser: Pose2,
     /// Covariance of that pose, in the map frame.
     pub(super) covariance: PoseCovariance,
     /// What the last step of the way there adds to it.
     pub(super) step_covariance: PoseCovariance,
+}
+
+impl Placement {
+    /// Pose of the base.
+    pub(super) fn map_from_base(&self) -> Pose2 {
+        self.map_from_laser * self.base_from_laser.inverse()
+    }
 }

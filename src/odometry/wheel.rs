@@ -11,6 +11,8 @@ use crate::time::Stamp;
 const CAPACITY: usize = 4000;
 /// Odometry older than this says nothing about a scan, s.
 const MAX_EXTRAPOLATION: f64 = 0.5;
+/// Of what happened between two messages that are farther apart nothing is known, s: the clock may have been set in between.
+const LONGEST_GAP: f64 = 3.0;
 /// Over a shorter time than this the velocity is as good as a message, s.
 const GOOD_EXTRAPOLATION: f64 = 0.05;
 /// A move faster than any robot drives, m/s ...
@@ -103,8 +105,8 @@ impl WheelOdometry {
         match (after.checked_sub(1).map(|i| self.samples[i]), self.samples.get(after)) {
             (_, Some(after)) if after.stamp == stamp => Some(after.pose),
             (Some(before), Some(after)) => {
-                let fraction = stamp.seconds_since(before.stamp) / after.stamp.seconds_since(before.stamp);
-                Some(before.pose.interpolate(&after.pose, fraction))
+                let (since, gap) = (stamp.seconds_since(before.stamp), after.stamp.seconds_since(before.stamp));
+                (gap <= LONGEST_GAP).then(|| before.pose.interpolate(&after.pose, since / gap))
             }
             (Some(last), None) => {
                 let ahead = stamp.seconds_since(last.stamp);
@@ -118,7 +120,8 @@ impl WheelOdometry {
     fn last_twist(&self) -> Twist2 {
         let Some(last) = self.samples.back() else { return Twist2::default() };
         let is_earlier = |sample: &&WheelSample| last.stamp.seconds_since(sample.stamp) >= GOOD_EXTRAPOLATION;
-        let before = self.samples.iter().rev().find(is_earlier).or(self.samples.front()).filter(|before| before.stamp < last.stamp);
+        let before =
+            self.samples.iter().rev().find(is_earlier).or(self.samples.front()).filter(|before| before.stamp < last.stamp);
         let Some(before) = before else { return last.twist.unwrap_or_default() };
         let (moved, seconds) = (before.pose.between(&last.pose), last.stamp.seconds_since(before.stamp));
         let by_poses = Prediction { motion: moved, covariance: uncertainty::of_wheels(&moved, seconds) };
@@ -175,7 +178,10 @@ mod tests {
         };
         assert!((ahead(Twist2 { vx: 2.3, vy: 0.0, omega: 0.0 }).x - 0.23).abs() < 1e-9);
         let sideways = ahead(Twist2 { vx: 0.0, vy: -2.0, omega: 0.0 });
-        assert!((sideways.x - 0.2).abs() < 1e-9 && sideways.y.abs() < 1e-9, "the velocity of a camera that looks sideways: {sideways:?}");
+        assert!(
+            (sideways.x - 0.2).abs() < 1e-9 && sideways.y.abs() < 1e-9,
+            "the velocity of a camera that looks sideways: {sideways:?}"
+        );
     }
 
     #[test]

@@ -184,6 +184,19 @@ impl LocalizationSummary {
         })
     }
 
+    /// What the user should know of the time after the robot had first been localized: that it was lost again, and whether it still is.
+    pub fn lost(&self) -> Option<String> {
+        let first = self.localized.first()?;
+        let since = self.poses.iter().filter(|pose| pose.stamp >= first.stamp);
+        let lost: Vec<Stamp> = since.map(|pose| pose.stamp).filter(|stamp| !self.covariances.contains_key(stamp)).collect();
+        let from_start = lost.first()?.seconds_since(self.poses.first()?.stamp);
+        let at_the_end = if lost.last() == self.poses.last().map(|pose| &pose.stamp) { ", and is so at the end" } else { "" };
+        Some(format!(
+            "the robot was not localized any more at {} scans, the first {from_start:.1} s after the start{at_the_end}",
+            lost.len()
+        ))
+    }
+
     /// Why scans were not used, and how many; empty if all were.
     pub fn unused(&self) -> Vec<String> {
         self.unused.in_words(self.poses.len() + self.unused.count())

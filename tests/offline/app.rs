@@ -140,6 +140,28 @@ fn a_laser_that_pans_is_followed() {
     assert!(app.take_remarks().iter().any(|remark| remark.contains("poses follow tf")), "by up to 3 degrees from scan to scan");
 }
 
+/// One looks to the front, one to the rear; none sees what the other does.
+#[test]
+fn two_lasers_back_to_back_take_turns() {
+    let mut app = app(&[]);
+    let mounts = [("front", Pose2::new(0.3, 0.0, 0.0)), ("rear", Pose2::new(-0.2, 0.1, 3.1))];
+    for (frame, mount) in mounts {
+        place(&mut app, "base_link", frame, mount.into());
+    }
+    for i in 0..120 {
+        let seconds = f64::from(i) * 0.025;
+        let (frame, mount) = mounts[usize::from(i % 2 == 1)];
+        app.on_odometry(&odometry_at(seconds, way(seconds))).unwrap();
+        let laser = Laser::with_field_of_view(170.0, 171);
+        let mut message = laser.message(Stamp::from_seconds(START + seconds), way(seconds) * mount);
+        message.header.frame_id = frame.into();
+        let estimate = answer(&mut app, &message);
+        assert_eq!(estimate.registration.outcome.is_ok(), i != 1, "{i}: {:?}", estimate.registration.outcome);
+        assert_near(estimate.registration.odom_from_base, way(seconds), 0.02);
+    }
+    assert!(app.odometry_counters().keyframes < 20, "{} keyframes", app.odometry_counters().keyframes);
+}
+
 #[test]
 fn a_base_that_rolls_and_pitches_forgets_nothing() {
     let mut app = app(&["base_frame=base_footprint"]);

@@ -74,7 +74,8 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
 
 fn compare_maps(map: &Path, truth: &Path, arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { align, drive, json, .. } = arguments;
-    let files = Files::default().read_map("--map", Some(map)).read_map("--truth-map", Some(truth)).read("--drive", drive.as_deref());
+    let files =
+        Files::default().read_map("--map", Some(map)).read_map("--truth-map", Some(truth)).read("--drive", drive.as_deref());
     let world = map_file::read(truth)?;
     let met = drive.as_deref().map(|drive| -> anyhow::Result<_> { Ok(simulated_bag::cells_met(&Bag::open(drive)?, &world)?) });
     let found = MapComparison::new(&map_file::read(map)?, &world, *align, met.transpose()?.as_deref());

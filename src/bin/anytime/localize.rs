@@ -105,7 +105,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let matched = matched.transpose()?;
     let errors = matched.and_then(|matched| summary.errors(&matched));
     let mut problems: Vec<String> = bag.problems().iter().map(ToString::to_string).chain(log.problems()).collect();
-    problems.extend(reservations(&localizer));
+    problems.extend(reservations(&localizer).into_iter().chain(summary.lost()));
     let text = files(arguments, &config).shown(
         arguments.json,
         || summary.to_json(errors.as_ref(), &problems),

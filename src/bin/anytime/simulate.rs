@@ -45,8 +45,10 @@ pub(crate) struct Arguments {
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Arguments { world, out, truth, compression, seed, json, flags } = arguments;
-    let files =
-        Files::default().read_map("--world", Some(Path::new(world))).written("--out", Some(out)).written("--truth", truth.as_deref());
+    let files = Files::default()
+        .read_map("--world", Some(Path::new(world)))
+        .written("--out", Some(out))
+        .written("--truth", truth.as_deref());
     files.check()?;
     let scans = drive(world, &flags.settings(*seed)?, out, *compression, truth.as_deref())?;
     Ok(files.shown(*json, || json!({ "scans": scans }), || format!("{scans} scans")))
