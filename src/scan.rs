@@ -60,7 +60,7 @@ pub enum Oddity {
     )]
     TimeIncrement {
         /// Its value.
-        value: f64,
+        value: f32,
         /// How long a sweep would take, s.
         seconds: f64,
     },
@@ -70,7 +70,7 @@ pub enum Oddity {
         /// Name of the message field.
         field: &'static str,
         /// Its value.
-        value: f64,
+        value: f32,
     },
     /// Intensities are there, but not one for every range.
     #[error("{ranges} ranges but {intensities} intensities: these are ignored")]
@@ -97,7 +97,7 @@ pub enum ScanError {
         /// Name of the message field.
         field: &'static str,
         /// Its value.
-        value: f64,
+        value: f32,
     },
     /// Two neighbouring beams would coincide.
     #[error("angle_increment is 0: the beams have no directions")]
@@ -126,9 +126,9 @@ pub enum ScanError {
     #[error("range_min {min} m and range_max {max} m leave no range valid")]
     EmptyRangeInterval {
         /// `range_min`.
-        min: f64,
+        min: f32,
         /// `range_max`.
-        max: f64,
+        max: f32,
     },
     /// Nearly every ray is without a measurement.
     #[error(
@@ -477,10 +477,10 @@ impl ScanConverter {
             self.note(Oddity::BeamCount { beams, expected });
         }
         if !message.scan_time.is_finite() {
-            self.note(Oddity::Ignored { field: "scan_time", value: message.scan_time.into() });
+            self.note(Oddity::Ignored { field: "scan_time", value: message.scan_time });
         }
         if !self.is_sweep(message) {
-            self.note(Oddity::TimeIncrement { value: message.time_increment.into(), seconds: sweep(message) });
+            self.note(Oddity::TimeIncrement { value: message.time_increment, seconds: sweep(message) });
         }
         if intensities != 0 && intensities != beams {
             self.note(Oddity::Intensities { ranges: beams, intensities });
@@ -588,7 +588,7 @@ fn check_header(message: &LaserScan) -> Result<(), ScanError> {
         // Some drivers say "no upper limit" with an infinite range_max.
         let unlimited = field == "range_max" && value == f32::INFINITY;
         if !value.is_finite() && !unlimited {
-            return Err(ScanError::NotFinite { field, value: value.into() });
+            return Err(ScanError::NotFinite { field, value });
         }
     }
     if message.angle_increment == 0.0 {
@@ -604,7 +604,7 @@ fn check_header(message: &LaserScan) -> Result<(), ScanError> {
         return Err(ScanError::MoreThanATurn { degrees: sweep.to_degrees() });
     }
     if message.range_max <= message.range_min || message.range_max <= 0.0 {
-        return Err(ScanError::EmptyRangeInterval { min: message.range_min.into(), max: message.range_max.into() });
+        return Err(ScanError::EmptyRangeInterval { min: message.range_min, max: message.range_max });
     }
     Ok(())
 }

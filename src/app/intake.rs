@@ -18,13 +18,17 @@ use crate::geometry::Pose2;
 use crate::messages::geometry_msgs::{self, Twist};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
+use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::WheelSample;
 use crate::scan::{Scan, ScanConverter, ScanError};
+use crate::time::Stamp;
 use crate::transforms::{Mount, TiltedMount, TransformTree, frame_name, rigid_motion};
 
 /// A mount that moves by more than this (m, rad) between two scans is worth a remark: no laser shakes that much on its bracket.
 const MOUNT_JUMP: f64 = 0.02;
+/// A start during which transforms are on their way takes less, s.
+const LATE_MOUNT: f64 = 2.0;
 
 /// Why a scan cannot be used.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -54,6 +58,8 @@ pub(super) struct Intake {
     /// The frame of the last scan, and where on the base it was.
     last_mount: Option<(String, Pose2)>,
     mount_jumped: bool,
+    /// The first scan while nobody had said where the laser is.
+    first_assumed: Option<Stamp>,
     remarks: Vec<String>,
 }
 
@@ -71,6 +77,7 @@ impl Intake {
             converter: ScanConverter::new(&config.scan),
             last_mount: None,
             mount_jumped: false,
+            first_assumed: None,
             remarks: Vec::new(),
             config: config.clone(),
         })
@@ -89,7 +96,7 @@ impl Intake {
 
     /// The scan of a message, as the laser of the mount of now sees it.
     pub(super) fn scan(&mut self, message: &LaserScan) -> Result<Scan, Unusable> {
-        self.update_mount(&message.header.frame_id);
+        self.update_mount(&message.header);
         self.mount.check_level(&self.config.frames.base_frame, &message.header.frame_id)?;
         let scan = self.converter.convert(message, self.mount.upside_down);
         self.remarks.extend(self.converter.take_oddities().iter().map(ToString::to_string));
@@ -98,7 +105,7 @@ impl Intake {
 
     /// The same of a point cloud.
     pub(super) fn cloud(&mut self, message: &PointCloud2) -> Result<Scan, Unusable> {
-        self.update_mount(&message.header.frame_id);
+        self.update_mount(&message.header);
         let scan = cloud::scan(message, &self.config.cloud, &self.mount.level_from_laser)?;
         Ok(scan.masked(self.converter.mask())?.of_surroundings()?)
     }
@@ -144,16 +151,32 @@ impl Intake {
     }
 
     /// Where the laser of this scan is on the base: every scan has its own place, which may move.
-    fn update_mount(&mut self, laser_frame: &str) {
+    fn update_mount(&mut self, header: &Header) {
+        let laser_frame = header.frame_id.as_str();
         let parameter = self.config.odometry.laser_in_base;
         if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter) {
             self.mount = mount;
             if parameter.is_none() && self.mount_source != MountSource::Transforms {
                 self.mount_source = MountSource::Transforms;
                 self.last_mount = None; // it was none
+                self.note_late_mount(header);
             }
         }
+        if self.mount_source == MountSource::Assumed {
+            self.first_assumed.get_or_insert(header.stamp.into());
+        }
         self.note_mount_jump(laser_frame);
+    }
+
+    fn note_late_mount(&mut self, header: &Header) {
+        let seconds = self.first_assumed.map_or(0.0, |first| Stamp::from(header.stamp).seconds_since(first));
+        if seconds > LATE_MOUNT {
+            let laser_frame = &header.frame_id;
+            self.remarks.push(format!(
+                "no transform to the laser '{laser_frame}' came for {seconds:.1} s: until then it was taken to be at the base's origin \
+                 (set odometry.laser_in_base, or publish it on /tf_static)"
+            ));
+        }
     }
 
     fn note_mount_jump(&mut self, laser_frame: &str) {

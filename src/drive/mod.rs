@@ -58,7 +58,7 @@ pub enum DriveError {
     #[error(transparent)]
     Map(#[from] MapError),
     /// There is no way round it.
-    #[error("{0}; --path FILE.csv gives one")]
+    #[error("there is no way round this world, --path FILE.csv gives one")]
     Route(#[from] NoLoop),
     /// A file cannot be read or written.
     #[error("{}: {problem}", path.display())]

@@ -120,6 +120,18 @@ fn scans_that_come_before_the_lasers_place_is_known_shift_nothing() {
     assert_eq!(app.take_remarks(), [""; 0], "the laser has not moved");
 }
 
+#[test]
+fn transforms_that_come_late_are_told() {
+    let mut app = app(&[]);
+    for seconds in [0.0, 2.0, 4.0] {
+        if seconds > 3.0 {
+            place(&mut app, "base_link", "laser", Pose2::IDENTITY.into());
+        }
+        answer(&mut app, &scan_at(seconds, Pose2::IDENTITY));
+    }
+    assert!(app.take_remarks()[0].starts_with("no transform to the laser 'laser' came for 4.0 s"));
+}
+
 /// tf says that `child` is at this place on `parent`.
 fn place(app: &mut App, parent: &str, child: &str, transform: Transform) {
     let mut transform = TransformStamped { child_frame_id: child.into(), transform, ..TransformStamped::default() };
