@@ -468,9 +468,11 @@ impl LaserOdometry {
         found: &Found,
         driver: &mut Driver,
     ) -> Option<(Attempt, Found)> {
-        let no_time = found.answer.as_ref().is_err_and(|failure| !failure.reason.is_no_fit());
-        let came_late = scan.stamp().seconds_since(attempt.last.stamp) > LATE_BY_PERIODS * self.usual_period;
-        if attempt.said.is_some() || !came_late || no_time {
+        let is_done = !matches!(found.report.stop_reason, StopReason::Budget | StopReason::Interrupted)
+            && found.answer.as_ref().err().is_none_or(|failure| failure.reason.is_no_fit());
+        let seconds = scan.stamp().seconds_since(attempt.last.stamp);
+        let came_late = self.usual_period > 0.0 && seconds > LATE_BY_PERIODS * self.usual_period;
+        if attempt.said.is_some() || !came_late || !is_done {
             return None;
         }
         let last = Last { stamp: scan.stamp().offset_by(-self.usual_period), ..attempt.last };
@@ -881,7 +883,8 @@ impl LaserOdometry {
         let is_lost = answer.is_lost || !goes_on;
         let mean_twist = self.last.filter(|_| !goes_on).map_or(seen_twist, |last| last.mean_twist);
         let seconds = self.last.map_or(0.0, |last| scan.stamp().seconds_since(last.stamp));
-        self.usual_period += USUAL_WEIGHT * (seconds - self.usual_period);
+        let weight = if self.usual_period > 0.0 { USUAL_WEIGHT } else { 1.0 };
+        self.usual_period += weight * (seconds - self.usual_period);
         self.usual_twist = self.usual_twist.towards(&motion.twist, (seconds / USUAL_TIME).clamp(0.0, 1.0));
         let becomes_keyframe = becomes_keyframe || is_lost;
         let map_from_laser = answer.map_from_base * *base_from_laser;
