@@ -6,21 +6,26 @@
 
 mod answer;
 mod attempt;
+mod clock_step;
+mod counters;
 mod doubt;
 mod drift;
 pub mod heading;
+mod keyframes;
 mod lag;
 mod local_map;
 mod loop_closure;
 mod motion_state;
 mod placement;
 mod prediction;
+mod recognition;
 mod registration;
 mod set_pose;
 mod source_noise;
 pub mod sources;
 pub mod sweep;
 pub mod uncertainty;
+mod unmatched;
 pub mod wheel;
 
 use std::time::Duration;
@@ -30,26 +35,28 @@ use crate::anytime::contract::Contract;
 use crate::anytime::cost_model::CostModel;
 use crate::anytime::interrupt::Never;
 use crate::anytime::{Driver, ErrorEstimate, Task, estimated_error};
-use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
+use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::knobs::Seconds;
 use crate::matching::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
 use crate::scan::Scan;
-use crate::time::{Continuity, Stamp, Step};
+use crate::time::{Continuity, Stamp};
 use crate::transforms::LaserPlace;
 use answer::{Answer, Found, problem};
-use attempt::{Attempt, Last, USUAL_VARIATION};
+use attempt::{Attempt, Last};
+pub use counters::OdometryCounters;
 use doubt::Doubt;
 use heading::HeadingReading;
-use local_map::{LocalMap, Unrecognised};
-use loop_closure::{LoopCloser, Recognition, Sighting};
+use keyframes::{Approach, UpcomingKeyframe, is_same_mount};
+use local_map::LocalMap;
+use loop_closure::LoopCloser;
 use motion_state::MotionState;
 use placement::Placement;
 use prediction::Prediction;
 pub use registration::{Disbelieved, Failure, FailureReason, MatchedPoints, Outcome, RefinementReport, Registration};
 use registration::{matched_points, report};
 use set_pose::SetPose;
-use source_noise::SourceNoise;
+use source_noise::LearnedNoise;
 use sources::MotionSources;
 use sweep::Sweep;
 use wheel::{WheelEvent, WheelSample};
@@ -62,10 +69,6 @@ const TURN_JUMP: f64 = 0.04;
 const MAX_ACCELERATION: f64 = 30.0;
 /// ... and rad/s^2.
 const MAX_TURN_ACCELERATION: f64 = 100.0;
-/// So many times as long as usual after the last one, a scan has come late, or the clock was set. Less than that a search bridges.
-const LATE_BY_PERIODS: f64 = 4.0;
-/// Two places of a laser on the base, m and rad, are one when they differ by less: tf jitters.
-const SAME_MOUNT: f64 = 0.05;
 /// Weight of the last scan in the usual agreement and period.
 const USUAL_WEIGHT: f64 = 0.05;
 /// Time that the usual velocity is of, s.
@@ -116,62 +119,6 @@ crate::knobs! {
         max_correction_distance: f64 = 1.0, in 0.01 to 100, unit "m";
         /// A match that turns the prediction by more than this is not believed.
         max_correction_angle: f64 = 0.8, in 0.01 to 4, unit "rad";
-    }
-}
-
-/// Events that are counted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct OdometryCounters {
-    /// Keyframes so far.
-    pub keyframes: u64,
-    /// Places recognised.
-    pub closed_loops: u64,
-    /// Answers that were predictions.
-    pub predicted: u64,
-    /// Matches that were finished after their answer was out.
-    pub finished_later: u64,
-    /// Scans with the stamp of the one before.
-    pub duplicate_scans: u64,
-    /// Scans a little older than the one before.
-    pub out_of_order_scans: u64,
-    /// Runs that ended because time went back.
-    pub time_jumps: u64,
-    /// Steps of the clock after which the robot drove on.
-    pub clock_steps: u64,
-    /// Wheel odometry messages with the stamp of the one before.
-    pub duplicate_odometry: u64,
-    /// Jumps of the wheel odometry.
-    pub odometry_resets: u64,
-    /// Scans whose motion the wheel odometry did not cover.
-    pub without_odometry: u64,
-    /// Scans whose prediction made next to nothing of the odometry there was, as the matches before had contradicted it.
-    pub odometry_disbelieved: u64,
-    /// The same of the IMU.
-    pub imu_disbelieved: u64,
-    /// Matches that contradict the odometry, which has not been disbelieved: it says another way from the last keyframe.
-    pub odometry_contradicted: u64,
-}
-
-impl OdometryCounters {
-    /// What the user should know of the events, one sentence for each kind that there was.
-    pub fn in_words(&self) -> impl Iterator<Item = String> {
-        let counted = [
-            (self.without_odometry, "scans predicted at constant velocity: no odometry covers them"),
-            (self.duplicate_scans, "scans with the stamp of the one before"),
-            (self.out_of_order_scans, "scans out of order"),
-            (self.time_jumps, "jumps back in time (each started a new run)"),
-            (self.clock_steps, "steps of the clock (each went on from the last pose)"),
-            (self.duplicate_odometry, "odometry messages with the stamp of the one before"),
-            (self.odometry_resets, "jumps of the odometry"),
-            (self.imu_disbelieved, "scans predicted without the IMU, which the scans before had contradicted"),
-            (self.odometry_disbelieved, "scans predicted almost without the odometry, which the scans before had contradicted"),
-            (
-                self.odometry_contradicted,
-                "matches that contradict the odometry: one of the two is wrong (do wheels slip? does the laser see the robot itself, or a \
-                 cover, or people all around?)",
-            ),
-        ];
-        counted.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"))
     }
 }
 
@@ -457,40 +404,6 @@ impl LaserOdometry {
         }
     }
 
-    /// A match where the robot has hardly moved, of a scan that comes later than usual, where that fits decidedly better than where the
-    /// velocity leads in that time: the clock was set forward, and the robot has driven on for no longer than from any scan to the next.
-    /// Odometry would know.
-    fn match_where_the_clock_was_set(
-        &mut self,
-        keyframe: &Placement,
-        scan: &Scan,
-        attempt: &Attempt,
-        found: &Found,
-        driver: &mut Driver,
-    ) -> Option<(Attempt, Found)> {
-        let is_done = !matches!(found.report.stop_reason, StopReason::Budget | StopReason::Interrupted)
-            && found.answer.as_ref().err().is_none_or(|failure| failure.reason.is_no_fit());
-        let seconds = scan.stamp().seconds_since(attempt.last.stamp);
-        let came_late = self.usual_period > 0.0 && seconds > LATE_BY_PERIODS * self.usual_period;
-        if attempt.said.is_some() || !came_late || !is_done {
-            return None;
-        }
-        let last = Last { stamp: scan.stamp().offset_by(-self.usual_period), ..attempt.last };
-        let expected = last.motion.expect(self.usual_period).prediction();
-        let attempt = Attempt { last, expected, prediction: expected, said_turn: None, ..*attempt };
-        let first_guess = keyframe.map_from_laser.between(&attempt.predicted_laser());
-        let shown = (std::mem::take(&mut self.iterations), self.matched_points.take());
-        let fits = self.match_to(keyframe, scan, &attempt, first_guess, driver);
-        let is_better = found.answer.is_err() || fits.agreement > found.agreement.map(|agreement| agreement + USUAL_VARIATION);
-        if fits.answer.is_err() || !is_better {
-            (self.iterations, self.matched_points) = shown;
-            return None;
-        }
-        self.counters.clock_steps += 1;
-        self.last = Some(last);
-        Some((attempt, fits))
-    }
-
     /// Matches a scan to the keyframe, from `start` on.
     fn match_to(&mut self, keyframe: &Placement, scan: &Scan, attempt: &Attempt, start: Pose2, driver: &mut Driver) -> Found {
         let none = PoseCovariance::zeros();
@@ -545,167 +458,6 @@ impl LaserOdometry {
         doubt.against(&Prediction { motion, covariance }, &start.between(&map_from_base), start.theta)
     }
 
-    /// Work that can wait until an answer is out: prepares the reference of the next scans. [`Self::register_within`] does it otherwise.
-    pub fn maintain(&mut self) {
-        self.unfinished = None;
-        let keeps_map = self.knobs.reference == ReferenceChoice::LocalMap;
-        let upcoming = self.upcoming_keyframe.take();
-        let changes = upcoming.is_some() || keeps_map;
-        if let Some(UpcomingKeyframe { scan, place, is_lost }) = upcoming {
-            let most = if keeps_map { self.knobs.max_keyframes } else { 1 };
-            self.map.add(place, self.matcher.view(scan), is_lost, most as usize);
-            self.map.forget_moved();
-            self.to_be_recognised = keeps_map && self.knobs.close_loops;
-        }
-        if changes {
-            self.choose_views();
-        }
-    }
-
-    /// The next scan is matched to the keyframes around the last one.
-    fn choose_views(&mut self) {
-        if let Some(last) = self.last {
-            self.choose_views_around(&last, &last.map_from_laser, None);
-        }
-    }
-
-    /// The keyframe to match a scan to: the one chosen around the last scan, unless this one is of a laser elsewhere on the base, as when two
-    /// take turns. `None`: none has looked where it does.
-    fn keyframe_seen_by(&mut self, scan: &Scan, chosen: Placement, attempt: &Attempt) -> Option<Placement> {
-        let predicted = attempt.predicted_laser();
-        if !is_same_mount(&attempt.last.base_from_laser(), &attempt.base_from_laser) {
-            self.choose_views_around(&attempt.last, &predicted, Some(scan));
-        }
-        let chosen = self.keyframe.unwrap_or(chosen);
-        let turn = chosen.map_from_laser.theta - predicted.theta;
-        let is_seen = self.views.first().is_some_and(|placed| scan.shares_view_with(placed.view.scan(), turn));
-        is_seen.then_some(chosen)
-    }
-
-    /// A scan that looks where none has looked is answered by the prediction; others can be matched to it.
-    fn answer_unseen(&mut self, scan: &Scan, attempt: &Attempt) -> Registration {
-        self.counters.predicted += 1;
-        let problem = Failure::new(
-            FailureReason::TooFewCorrespondences,
-            "it looks where no scan has looked before: there is nothing to match",
-        );
-        self.conclude(scan, &attempt.base_from_laser, Answer::predicted(attempt, problem), true)
-    }
-
-    fn choose_views_around(&mut self, last: &Last, map_from_laser: &Pose2, scan: Option<&Scan>) {
-        let count = if self.knobs.reference == ReferenceChoice::LocalMap { self.knobs.views } else { 1 };
-        let before = self.keyframe.map(|keyframe| keyframe.stamp);
-        self.keyframe = self.map.views_around(map_from_laser, scan, count as usize, &mut self.views);
-        if let Some(keyframe) = self.keyframe.filter(|keyframe| Some(keyframe.stamp) != before) {
-            let keyframe_from_base = keyframe.map_from_laser.between(&last.map_from_base);
-            self.approach = Approach { stamp: last.stamp, keyframe_from_base };
-        }
-        self.matcher.set_views(&self.views);
-    }
-
-    /// Compares the last keyframe with those of long ago that seem to be around, if it has not been done; puts the map right by what
-    /// comes of it. The next scans are answered the better for it, but none needs to wait for it.
-    pub fn close_loop(&mut self, driver: &mut Driver) {
-        if !std::mem::take(&mut self.to_be_recognised) {
-            return;
-        }
-        if let Some(recognised) = self.unrecognised() {
-            let sighting = self.sight(&recognised, driver);
-            match sighting.map(|sighting| self.loop_closer.judge(&sighting)) {
-                // Again when there is more time.
-                None => self.to_be_recognised = true,
-                Some(None) => {}
-                Some(Some(recognition)) => self.recognise(&recognised, &recognition),
-            }
-            self.choose_views();
-        } else {
-            self.loop_closer.forget();
-        }
-    }
-
-    /// The keyframes to compare the last one with, as `views`; none while scans are matched to such keyframes anyway.
-    fn unrecognised(&mut self) -> Option<Unrecognised> {
-        let (place, _) = self.map.last().filter(|_| self.map.is_exploring())?;
-        self.map.unrecognised_around(&place, self.knobs.views as usize, &mut self.views)
-    }
-
-    /// Matches the last keyframe to `views`, the first of which was taken at `earlier`; `None`: there was no time for it.
-    fn sight(&mut self, earlier: &Unrecognised, driver: &mut Driver) -> Option<Sighting> {
-        let (by_path, view) = self.map.last()?;
-        self.matcher.set_views(&self.views);
-        let pose = earlier.map_from_laser.between(&by_path);
-        let guess = FirstGuess { pose, prior: None, window: loop_closure::window(self.map.free_way(earlier)) };
-        let mut refinement = self.matcher.begin(view.scan(), guess);
-        if driver.drive(&mut refinement) == StopReason::Interrupted {
-            return None;
-        }
-        let condition_number = refinement.uncertainty().map_or(f64::INFINITY, |known| known.condition_number);
-        let by_earlier = earlier.map_from_laser * refinement.pose();
-        Some(Sighting { by_path, by_earlier, agreement: refinement.agreement().unwrap_or_default(), condition_number })
-    }
-
-    fn recognise(&mut self, earlier: &Unrecognised, recognition: &Recognition) {
-        self.counters.closed_loops += 1;
-        self.map.link(earlier);
-        let Recognition::Drifted(correction) = recognition else { return };
-        self.map.correct(earlier, correction);
-        if let Some(last) = &mut self.last {
-            // On the map the pose is known from there on as the earlier keyframe's is; in odom as it was.
-            let odom_from_map = self.map_from_odom.inverse();
-            let in_odom = uncertainty::compound(&odom_from_map, &self.drift_covariance, &last.map_from_base, &last.covariance);
-            last.covariance = earlier.covariance;
-            let way = odom_from_map.transform().rotate(last.map_from_base.translation());
-            let drift = in_odom - uncertainty::turned(&last.covariance, odom_from_map.theta);
-            self.drift_covariance = uncertainty::before_way(&uncertainty::positive(&drift), way);
-            last.map_from_base = *correction * last.map_from_base;
-            last.map_from_laser = *correction * last.map_from_laser;
-        }
-        self.map_from_odom = *correction * self.map_from_odom;
-    }
-
-    fn wants_keyframe(&self, keyframe_from_laser: &Pose2) -> bool {
-        match self.knobs.reference {
-            ReferenceChoice::Previous => true,
-            ReferenceChoice::LocalMap | ReferenceChoice::Keyframe => {
-                keyframe_from_laser.distance() > self.knobs.keyframe_distance
-                    || keyframe_from_laser.theta.abs() > self.knobs.keyframe_angle
-            }
-        }
-    }
-
-    /// Scans that are not later than the last one are answered without a match.
-    fn answer_by_stamp(&mut self, stamp: Stamp) -> Option<Registration> {
-        let last = self.last?;
-        let problem = match self.stamps.step(stamp, last.stamp, self.sources.last_wheel_stamp()) {
-            Step::Forward => return None,
-            Step::NewRun => {
-                self.counters.time_jumps += 1;
-                self.restart_at(self.knobs.initial_pose);
-                return None;
-            }
-            Step::SetBack { last: stamp } => {
-                self.counters.clock_steps += 1;
-                self.last = Some(Last { stamp, ..last });
-                return None;
-            }
-            Step::Same => {
-                self.counters.duplicate_scans += 1;
-                Failure::new(FailureReason::DuplicateStamp, "its stamp is that of the scan before: the same answer again")
-            }
-            Step::Late => {
-                self.counters.out_of_order_scans += 1;
-                let seconds = last.stamp.seconds_since(stamp);
-                Failure::new(
-                    FailureReason::OutOfOrder,
-                    format!("its stamp is {seconds:.3} s before that of the last scan: out of order"),
-                )
-            }
-        };
-        self.counters.predicted += 1;
-        let answer = self.registration(Outcome::Predicted(problem), last.map_from_base, &last.covariance);
-        Some(Registration { twist: last.motion.twist, ..answer })
-    }
-
     /// An answer of which no more is known than this, in terms of the map.
     fn registration(&self, outcome: Outcome, map_from_base: Pose2, covariance: &PoseCovariance) -> Registration {
         let odom_from_map = self.map_from_odom.inverse();
@@ -722,142 +474,6 @@ impl LaserOdometry {
             disbelieved: self.noise.disbelieved(),
             contradicts_odometry: false,
             new_keyframe: false,
-        }
-    }
-
-    /// The first scan that others can be matched to.
-    fn answer_first(
-        &mut self,
-        scan: &Scan,
-        base_from_laser: &Pose2,
-        map_from_base: Pose2,
-        covariance: PoseCovariance,
-    ) -> Registration {
-        self.conclude(scan, base_from_laser, Answer::first(map_from_base, covariance), true)
-    }
-
-    /// The prediction as answer. `is_lost`: the scan could not be matched. It becomes the keyframe then: the one it was to be matched to
-    /// must not be kept for ever.
-    fn answer_predicted(
-        &mut self,
-        scan: &Scan,
-        attempt: &Attempt,
-        refinement: Option<RefinementReport>,
-        problem: Failure,
-        becomes_keyframe: bool,
-        is_lost: bool,
-    ) -> Registration {
-        self.counters.predicted += 1;
-        if is_lost
-            && attempt.awaits_odometry
-            && let Some(start) = &mut self.last
-            && !std::mem::replace(&mut start.passed_over, true)
-        {
-            // What comes says better how the robot has moved: the next scan starts from where this one did.
-            let twist = attempt.last.motion.expect(scan.stamp().seconds_since(attempt.last.stamp)).unseen().twist;
-            let error = ErrorEstimate::of_covariance(&attempt.prediction.covariance);
-            let (map_from_base, covariance) = attempt.predicted_base();
-            return Registration { refinement, ..self.passing(problem, map_from_base, &covariance, (twist, error)) };
-        }
-        let answer = Answer { is_lost, refinement, ..Answer::predicted(attempt, problem) };
-        self.conclude(scan, &attempt.base_from_laser, answer, becomes_keyframe)
-    }
-
-    /// An answer for a scan that could not be used at all, taken at `stamp`.
-    pub fn answer_unusable(&mut self, stamp: Stamp, problem: Failure) -> Registration {
-        self.maintain();
-        self.matched_points = None;
-        self.iterations.clear();
-        self.counters.predicted += 1;
-        // The stamp of such a scan may be as wrong as the rest of it: no run starts again by it.
-        if let Some(last) = self.last.filter(|last| stamp <= last.stamp) {
-            return self.passing(problem, last.map_from_base, &last.covariance, (last.motion.twist, ErrorEstimate::UNKNOWN));
-        }
-        let (map_from_base, covariance, prediction) = match self.last {
-            Some(last) => (last.map_from_base, last.covariance, self.attempt(&last, stamp, &Pose2::IDENTITY).prediction),
-            None => (self.start, PoseCovariance::zeros(), Prediction::NONE),
-        };
-        let Prediction { motion, covariance: motion_covariance } = prediction;
-        let covariance = uncertainty::compound(&map_from_base, &covariance, &motion, &motion_covariance);
-        let map_from_base = map_from_base * motion;
-        let error = ErrorEstimate::of_covariance(&motion_covariance);
-        let state = self.last.map_or_else(
-            || MotionState::unknown(&covariance),
-            |last| last.motion.expect(stamp.seconds_since(last.stamp)).unseen(),
-        );
-        let twist = state.twist;
-        // The next scan's prediction starts from the last scan there was; where there was none, from here.
-        if self.keyframe.is_none() && self.upcoming_keyframe.is_none() {
-            self.last = Some(Last {
-                stamp,
-                map_from_base,
-                map_from_laser: map_from_base,
-                covariance,
-                covariance_to_keyframe: PoseCovariance::zeros(),
-                seen_twist: twist,
-                mean_twist: twist,
-                motion: state,
-                passed_over: false,
-            });
-        }
-        self.passing(problem, map_from_base, &covariance, (twist, error))
-    }
-
-    /// A prediction that the next scan does not start from.
-    fn passing(
-        &self,
-        problem: Failure,
-        map_from_base: Pose2,
-        covariance: &PoseCovariance,
-        (twist, error): (Twist2, ErrorEstimate),
-    ) -> Registration {
-        let answer = self.registration(Outcome::Predicted(problem), map_from_base, covariance);
-        Registration { twist, predicted_error: error, estimated_error: error, ..answer }
-    }
-
-    /// What is known of the pose of a scan taken at `stamp`: the base has gone on as it did, and moved as the odometry says, each as far
-    /// as it has been right lately.
-    fn attempt(&mut self, last: &Last, stamp: Stamp, base_from_laser: &Pose2) -> Attempt {
-        let awaits_odometry = self.awaits_odometry(stamp);
-        self.waited_in_vain = self.sources.is_behind(stamp);
-        let expected = last.motion.expect(stamp.seconds_since(last.stamp)).prediction();
-        let said = self.sources.motion_without_imu(last.stamp, stamp);
-        // Where stamps jitter, less time has passed by them than it took.
-        let seconds = stamp.seconds_since(last.stamp).max(self.usual_period);
-        let said = said.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion, seconds) });
-        let said_turn = self.sources.turn_by_imu(last.stamp, stamp);
-        self.count_disbelieved(said.is_some());
-        // Where nothing else is known, a velocity that was wrong is no worse than before: a robot that was carried off drives on.
-        let fused = |said: Prediction| {
-            let (said, expected) = (said.with_noise(self.noise.odometry), expected.with_noise(self.noise.velocity));
-            let usually = last.motion.expect(self.usual_period.max(stamp.seconds_since(last.stamp))).prediction();
-            said.doubted_by(&expected, &usually).and(&expected)
-        };
-        let known = said.map_or(expected, fused);
-        self.sources.believe_imu(!self.noise.imu.is_disbelieved());
-        let prediction = self.sources.with_heading(&known, last.stamp, stamp);
-        Attempt { last: *last, prediction, expected, said, said_turn, awaits_odometry, base_from_laser: *base_from_laser }
-    }
-
-    fn count_disbelieved(&mut self, has_odometry: bool) {
-        let Disbelieved { odometry, imu } = self.noise.disbelieved();
-        self.counters.without_odometry += u64::from(!has_odometry);
-        self.counters.odometry_disbelieved += u64::from(has_odometry && odometry);
-        self.counters.imu_disbelieved += u64::from(imu);
-    }
-
-    /// What a match that is done makes of what each source said; a scan that was not matched says nothing.
-    fn judge_sources(&mut self, attempt: &Attempt, found: &Found, stamp: Stamp) {
-        let Ok(answer) = &found.answer else { return };
-        self.counters.odometry_contradicted += u64::from(answer.contradicts_odometry && !self.noise.odometry.is_disbelieved());
-        self.sources.learn_lag(stamp, self.map_from_odom.inverse() * answer.map_from_base);
-        let motion = attempt.last.map_from_base.between(&answer.map_from_base);
-        self.noise.velocity.judge(source_noise::deviation(&attempt.expected, &motion));
-        if let Some(said) = &attempt.said {
-            self.noise.odometry.judge(source_noise::deviation(said, &motion));
-        }
-        if let Some((turn, deviation)) = attempt.said_turn {
-            self.noise.imu.judge(wrap_angle(motion.theta - turn).abs() / deviation);
         }
     }
 
@@ -920,46 +536,10 @@ impl LaserOdometry {
     }
 }
 
-/// Whether two places on the base are those of one laser.
-fn is_same_mount(one: &Pose2, other: &Pose2) -> bool {
-    let moved = one.between(other);
-    moved.distance() + moved.theta.abs() <= SAME_MOUNT
-}
-
 /// Whether a robot can come from one velocity to the other within `seconds`.
 fn is_steady(before: &Twist2, after: &Twist2, seconds: f64) -> bool {
     let change = (after.vx - before.vx).hypot(after.vy - before.vy);
     let turn_change = (after.omega - before.omega).abs();
     let within = |change: f64, jump: f64, acceleration: f64| change * seconds < jump + acceleration * seconds * seconds;
     within(change, JUMP, MAX_ACCELERATION) && within(turn_change, TURN_JUMP, MAX_TURN_ACCELERATION)
-}
-
-/// How wrong each source of motion has been lately.
-#[derive(Clone, Copy, Debug, Default)]
-struct LearnedNoise {
-    /// The robot going on as it did.
-    velocity: SourceNoise,
-    odometry: SourceNoise,
-    imu: SourceNoise,
-}
-
-impl LearnedNoise {
-    fn disbelieved(&self) -> Disbelieved {
-        Disbelieved { odometry: self.odometry.is_disbelieved(), imu: self.imu.is_disbelieved() }
-    }
-}
-
-/// Since when scans have been matched to the present keyframe before all others, and where the base was then, seen from it.
-#[derive(Clone, Copy, Debug, Default)]
-struct Approach {
-    stamp: Stamp,
-    keyframe_from_base: Pose2,
-}
-
-/// A scan that is to become a keyframe.
-struct UpcomingKeyframe {
-    scan: Scan,
-    place: Placement,
-    /// How the robot came here from the last keyframe is not known.
-    is_lost: bool,
 }

@@ -8,6 +8,7 @@
 use nalgebra::Vector3;
 
 use super::prediction::Prediction;
+use super::registration::Disbelieved;
 use crate::geometry::{Pose2, wrap_angle};
 
 /// A source whose last steps err by three times what its model claims is worth next to nothing.
@@ -54,6 +55,21 @@ impl SourceNoise {
     pub(super) fn judge(&mut self, deviation: f64) {
         let seen = deviation.min(CLIPPED).powi(2);
         self.factor = (self.factor + WEIGHT * (seen - self.factor)).max(1.0);
+    }
+}
+
+/// How wrong each source of motion has been lately.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct LearnedNoise {
+    /// The robot going on as it did.
+    pub(super) velocity: SourceNoise,
+    pub(super) odometry: SourceNoise,
+    pub(super) imu: SourceNoise,
+}
+
+impl LearnedNoise {
+    pub(super) fn disbelieved(&self) -> Disbelieved {
+        Disbelieved { odometry: self.odometry.is_disbelieved(), imu: self.imu.is_disbelieved() }
     }
 }
 
