@@ -11,6 +11,7 @@ use crate::geometry::Pose2;
 use crate::knobs::{KnobValue, expected, numbers, radians};
 use crate::messages::geometry_msgs;
 use crate::messages::tf2_msgs::TFMessage;
+use crate::time::Stamp;
 
 /// No coordinate on Earth is greater, m: nor are those of UTM.
 pub const FARTHEST: f64 = 1e8;
@@ -118,10 +119,49 @@ pub struct TiltedMount {
 /// At this tilt, rad, a wall 10 m away seems 6 % farther, and the floor is seen from 1 m above it at 3 m.
 const MOST_TILT: f64 = 20.0 * PI / 180.0;
 
+/// A motion that is older than this says nothing of where a frame is, s.
+const LONGEST_MOTION: f64 = 0.5;
+/// A mount that seems to move faster was put elsewhere, m/s ...
+const FASTEST_MOUNT: f64 = 2.0;
+/// ... and rad/s.
+const FASTEST_TURN: f64 = 8.0;
+
 /// The last known transform of every frame to its parent.
 #[derive(Debug, Default)]
 pub struct TransformTree {
-    parents: HashMap<String, (String, Isometry3<f64>)>,
+    parents: HashMap<String, Link>,
+}
+
+/// A frame's place in its parent.
+#[derive(Debug)]
+struct Link {
+    parent: String,
+    last: Isometry3<f64>,
+    stamp: Stamp,
+    /// The one before, of a frame that moves.
+    before: Option<(Stamp, Isometry3<f64>)>,
+}
+
+impl Link {
+    /// The place at a time, as the last two have it: a laser that pans is published at another rate than its scans are.
+    fn at(&self, stamp: Stamp) -> Isometry3<f64> {
+        self.moved_to(stamp).unwrap_or(self.last)
+    }
+
+    fn moved_to(&self, stamp: Stamp) -> Option<Isometry3<f64>> {
+        let (start, before) = self.before?;
+        let seconds = self.stamp.seconds_since(start);
+        let motion = before.inverse() * self.last;
+        let is_motion = seconds <= LONGEST_MOTION
+            && motion.translation.vector.norm() <= FASTEST_MOUNT * seconds
+            && motion.rotation.angle() <= FASTEST_TURN * seconds;
+        // As long again as they are apart it goes on as it did.
+        let part = (stamp.seconds_since(start) / seconds).clamp(0.0, 2.0);
+        is_motion.then(|| {
+            let place = before.translation.vector.lerp(&self.last.translation.vector, part);
+            Isometry3::from_parts(place.into(), before.rotation * motion.rotation.powf(part))
+        })
+    }
 }
 
 impl TransformTree {
@@ -132,18 +172,22 @@ impl TransformTree {
             let (parent, child) = (frame_name(&stamped.header.frame_id), frame_name(&stamped.child_frame_id));
             let geometry_msgs::Transform { translation: t, rotation } = &stamped.transform;
             match rigid_motion([t.x, t.y, t.z], rotation) {
-                Some(transform) if parent != child => {
-                    self.parents.insert(child.to_owned(), (parent.to_owned(), transform));
-                }
+                Some(transform) if parent != child => self.insert(parent, child, stamped.header.stamp.into(), transform),
                 _ => refused += 1,
             }
         }
         refused
     }
 
+    fn insert(&mut self, parent: &str, child: &str, stamp: Stamp, last: Isometry3<f64>) {
+        let known = self.parents.get(child).filter(|link| link.parent == parent);
+        let before = known.and_then(|link| if stamp > link.stamp { Some((link.stamp, link.last)) } else { link.before });
+        self.parents.insert(child.to_owned(), Link { parent: parent.to_owned(), last, stamp, before });
+    }
+
     /// The frame that `frame` hangs from.
     pub fn parent(&self, frame: &str) -> Option<&str> {
-        self.parents.get(frame_name(frame)).map(|(parent, _)| parent.as_str())
+        self.parents.get(frame_name(frame)).map(|link| link.parent.as_str())
     }
 
     /// Whether `frame` moves with `carrier`: it is that frame, or hangs from it, directly or through others.
@@ -159,20 +203,24 @@ impl TransformTree {
         false
     }
 
-    /// The place of `laser` on `base`, when the frames are connected.
+    /// The place of `laser` on `base` by the last transforms, when the frames are connected.
     pub fn mount(&self, base: &str, laser: &str) -> Option<Mount> {
-        let (base_root, root_from_base) = self.root(base)?;
-        let (laser_root, root_from_laser) = self.root(laser)?;
+        self.mount_by(base, laser, |link| link.last)
+    }
+
+    fn mount_by(&self, base: &str, laser: &str, place: impl Fn(&Link) -> Isometry3<f64>) -> Option<Mount> {
+        let (base_root, root_from_base) = self.root(base, &place)?;
+        let (laser_root, root_from_laser) = self.root(laser, &place)?;
         if base_root != laser_root {
             return None;
         }
         Some(Mount::of(&(root_from_base.inverse() * root_from_laser)))
     }
 
-    /// The place of a laser: where the parameter says, else the transforms. They say how high it is, and which side is up where the
-    /// parameter does not.
-    pub fn laser_mount(&self, base: &str, laser: &str, parameter: Option<LaserPlace>) -> Option<Mount> {
-        let by_transforms = self.mount(base, laser);
+    /// The place of a laser at a time: where the parameter says, else the transforms. They say how high it is, and which side is up where
+    /// the parameter does not.
+    pub fn laser_mount(&self, base: &str, laser: &str, stamp: Stamp, parameter: Option<LaserPlace>) -> Option<Mount> {
+        let by_transforms = self.mount_by(base, laser, |link| link.at(stamp));
         let Some(place) = parameter else { return by_transforms };
         Some(match by_transforms {
             Some(mount) if place.roll.is_none() => Mount { base_from_laser: place.base_from_laser, ..mount },
@@ -208,18 +256,19 @@ impl TransformTree {
     fn ancestors<'a>(&'a self, frame: &'a str) -> Vec<(&'a str, Isometry3<f64>)> {
         let first = (frame_name(frame), Isometry3::identity());
         let up = |(frame, from_start): &(&'a str, Isometry3<f64>)| {
-            self.parents.get(*frame).map(|(parent, transform)| (parent.as_str(), transform * from_start))
+            self.parents.get(*frame).map(|link| (link.parent.as_str(), link.last * from_start))
         };
         std::iter::successors(Some(first), up).take(MAX_CHAIN).collect()
     }
 
-    fn root<'a>(&'a self, frame: &'a str) -> Option<(&'a str, Isometry3<f64>)> {
+    /// The frame that all that `frame` hangs from hang from, and the frame's place in it.
+    fn root<'a>(&'a self, frame: &'a str, place: impl Fn(&Link) -> Isometry3<f64>) -> Option<(&'a str, Isometry3<f64>)> {
         let mut frame = frame_name(frame);
         let mut from_start = Isometry3::identity();
         for _ in 0..MAX_CHAIN {
-            let Some((parent, transform)) = self.parents.get(frame) else { return Some((frame, from_start)) };
-            from_start = transform * from_start;
-            frame = parent;
+            let Some(link) = self.parents.get(frame) else { return Some((frame, from_start)) };
+            from_start = place(link) * from_start;
+            frame = &link.parent;
         }
         None
     }
@@ -254,6 +303,28 @@ mod tests {
         let mut tree = TransformTree::default();
         assert_eq!(tree.add(&TFMessage { transforms: transforms.iter().map(stamped).collect() }), 0);
         tree
+    }
+
+    #[test]
+    fn a_mount_that_moves_is_carried_on_to_the_scan() {
+        let mut tree = TransformTree::default();
+        for (seconds, yaw) in [(1.0, 0.1), (1.1, 0.3)] {
+            let stamp = Stamp::from_seconds(seconds).into();
+            let stamped = geometry_msgs::TransformStamped {
+                header: Header { frame_id: "base_link".into(), stamp, ..Header::default() },
+                child_frame_id: "laser".into(),
+                transform: Pose2::new(0.2, 0.0, yaw).into(),
+            };
+            tree.add(&TFMessage { transforms: vec![stamped] });
+        }
+        let yaw = |seconds: f64| {
+            let mount = tree.laser_mount("base_link", "laser", Stamp::from_seconds(seconds), None).unwrap();
+            mount.base_from_laser.theta
+        };
+        for (seconds, expected) in [(1.05, 0.2), (1.1, 0.3), (1.15, 0.4), (1.5, 0.5), (0.9, 0.1)] {
+            assert!((yaw(seconds) - expected).abs() < 1e-9, "{seconds} s: {}", yaw(seconds));
+        }
+        assert!((tree.mount("base_link", "laser").unwrap().base_from_laser.theta - 0.3).abs() < 1e-9);
     }
 
     #[test]

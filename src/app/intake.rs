@@ -154,7 +154,9 @@ impl Intake {
     fn update_mount(&mut self, header: &Header) {
         let laser_frame = header.frame_id.as_str();
         let parameter = self.config.odometry.laser_in_base;
-        if let Some(mount) = self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, parameter) {
+        if let Some(mount) =
+            self.transforms.laser_mount(&self.config.frames.base_frame, laser_frame, header.stamp.into(), parameter)
+        {
             self.mount = mount;
             if parameter.is_none() && self.mount_source != MountSource::Transforms {
                 self.mount_source = MountSource::Transforms;

@@ -87,7 +87,7 @@ impl Intake {
 
     pub(super) fn on_scan(&mut self, message: &LaserScan) -> Result<(), String> {
         let (base, laser) = (&self.knobs.base_frame, &message.header.frame_id);
-        let mount = self.transforms.laser_mount(base, laser, self.knobs.laser_in_base);
+        let mount = self.transforms.laser_mount(base, laser, message.header.stamp.into(), self.knobs.laser_in_base);
         let mount = mount.ok_or_else(|| {
             format!("where '{laser}' is on '{base}' is not known from /tf: no emergency brake (or set laser_in_base)")
         })?;
