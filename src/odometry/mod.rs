@@ -12,6 +12,7 @@ mod doubt;
 mod drift;
 pub mod heading;
 mod keyframes;
+mod known_motion;
 mod lag;
 mod local_map;
 mod loop_closure;
