@@ -13,6 +13,8 @@ use crate::odometry::{LaserOdometry, OdometryKnobs};
 use crate::scan::Scan;
 use crate::time::Stamp;
 
+/// Keyframes of the last 20 m, and of the turns on them; older ones serve no more.
+const KEYFRAMES: u32 = 100;
 /// Part of the time budget that finding the motion may take; the rest is for what the motion is needed for.
 const SHARE: f64 = 0.5;
 
@@ -27,7 +29,8 @@ pub(super) struct MotionByScans {
 impl MotionByScans {
     /// With the knobs of the matching.
     pub(super) fn new(config: &Config) -> Self {
-        let knobs = OdometryKnobs { close_loops: false, initial_pose: Pose2::IDENTITY, ..config.odometry.clone() };
+        let max_keyframes = config.odometry.max_keyframes.min(KEYFRAMES);
+        let knobs = OdometryKnobs { close_loops: false, max_keyframes, initial_pose: Pose2::IDENTITY, ..config.odometry.clone() };
         Self {
             odometry: LaserOdometry::new(&knobs, &config.matching, &config.rejection),
             costs: CostModel::new(config.contract.confidence),

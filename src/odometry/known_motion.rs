@@ -33,7 +33,7 @@ impl LaserOdometry {
         Attempt { last: *last, prediction, expected, said, said_turn, awaits_odometry, base_from_laser: *base_from_laser }
     }
 
-    pub(super) fn count_disbelieved(&mut self, has_odometry: bool) {
+    fn count_disbelieved(&mut self, has_odometry: bool) {
         let Disbelieved { odometry, imu } = self.noise.disbelieved();
         self.counters.without_odometry += u64::from(!has_odometry);
         self.counters.odometry_disbelieved += u64::from(has_odometry && odometry);
