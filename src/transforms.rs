@@ -1,5 +1,6 @@
 //! What `/tf` and `/tf_static` say of where the laser is mounted.
 
+use std::cmp::Ordering;
 use std::collections::HashMap;
 use std::f64::consts::PI;
 
@@ -152,7 +153,8 @@ impl Link {
         let (start, before) = self.before?;
         let seconds = self.stamp.seconds_since(start);
         let motion = before.inverse() * self.last;
-        let is_motion = seconds <= LONGEST_MOTION
+        let is_motion = seconds > 0.0
+            && seconds <= LONGEST_MOTION
             && motion.translation.vector.norm() <= FASTEST_MOUNT * seconds
             && motion.rotation.angle() <= FASTEST_TURN * seconds;
         // As long again as they are apart it goes on as it did.
@@ -181,7 +183,11 @@ impl TransformTree {
 
     fn insert(&mut self, parent: &str, child: &str, stamp: Stamp, last: Isometry3<f64>) {
         let known = self.parents.get(child).filter(|link| link.parent == parent);
-        let before = known.and_then(|link| if stamp > link.stamp { Some((link.stamp, link.last)) } else { link.before });
+        let before = known.and_then(|link| match stamp.cmp(&link.stamp) {
+            Ordering::Greater => Some((link.stamp, link.last)),
+            Ordering::Equal => link.before,
+            Ordering::Less => None,
+        });
         self.parents.insert(child.to_owned(), Link { parent: parent.to_owned(), last, stamp, before });
     }
 
@@ -308,7 +314,7 @@ mod tests {
     #[test]
     fn a_mount_that_moves_is_carried_on_to_the_scan() {
         let mut tree = TransformTree::default();
-        for (seconds, yaw) in [(1.0, 0.1), (1.1, 0.3)] {
+        for (seconds, yaw) in [(0.9, 0.1), (1.0, 0.1), (0.9, 0.1), (1.0, 0.1), (1.1, 0.3), (1.1, 0.3)] {
             let stamp = Stamp::from_seconds(seconds).into();
             let stamped = geometry_msgs::TransformStamped {
                 header: Header { frame_id: "base_link".into(), stamp, ..Header::default() },
