@@ -26,6 +26,7 @@ use crate::messages::own;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
+use crate::odometry::counted_in_words;
 use crate::odometry::sources::MotionSources;
 use crate::odometry::sweep::Sweep;
 use crate::odometry::wheel::WheelEvent;
@@ -382,19 +383,13 @@ impl Localizer {
         (self.intake.mount, self.intake.mount_source)
     }
 
-    /// Scans that odometry did not cover.
-    pub fn without_odometry(&self) -> u64 {
-        self.without_odometry
-    }
-
-    /// Steps back of the clock after which the robot drove on.
-    pub fn clock_steps(&self) -> u64 {
-        self.clock_steps
-    }
-
-    /// Runs that began because time went back.
-    pub fn new_runs(&self) -> u64 {
-        self.new_runs
+    /// What the user should know of the events so far, one sentence for each kind that there was.
+    pub fn events_in_words(&self) -> impl Iterator<Item = String> {
+        counted_in_words([
+            (self.without_odometry, "scans whose motion is that of a match to the scans before: no odometry covers it"),
+            (self.clock_steps, "steps of the clock (each went on from the last pose)"),
+            (self.new_runs, "jumps back in time (each started a new run, from the last pose)"),
+        ])
     }
 
     /// Answers later than the time budget.

@@ -52,6 +52,11 @@ impl OdometryCounters {
                  cover, or people all around?)",
             ),
         ];
-        counted.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"))
+        counted_in_words(counted)
     }
+}
+
+/// A sentence for each of these kinds of events that there was.
+pub fn counted_in_words<const N: usize>(counted: [(u64, &'static str); N]) -> impl Iterator<Item = String> {
+    counted.into_iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"))
 }

@@ -52,15 +52,14 @@ impl LaserOdometry {
 
     /// The keyframe to match a scan to: the one chosen around the last scan, unless this one is of a laser elsewhere on the base, as when two
     /// take turns. `None`: none has looked where it does.
-    pub(super) fn keyframe_seen_by(&mut self, scan: &Scan, chosen: Placement, attempt: &Attempt) -> Option<Placement> {
+    pub(super) fn keyframe_seen_by(&mut self, scan: &Scan, attempt: &Attempt) -> Option<Placement> {
         let predicted = attempt.predicted_laser();
         if !is_same_mount(&attempt.last.base_from_laser(), &attempt.base_from_laser) {
             self.choose_views_around(&attempt.last, &predicted, Some(scan));
         }
-        let chosen = self.keyframe.unwrap_or(chosen);
-        let turn = chosen.map_from_laser.theta - predicted.theta;
+        let turn = self.keyframe?.heading_from(&predicted);
         let is_seen = self.views.first().is_some_and(|placed| scan.shares_view_with(placed.view.scan(), turn));
-        is_seen.then_some(chosen)
+        self.keyframe.filter(|_| is_seen)
     }
 
     pub(super) fn choose_views_around(&mut self, last: &Last, map_from_laser: &Pose2, scan: Option<&Scan>) {

@@ -24,7 +24,7 @@ impl LaserOdometry {
         // Where nothing else is known, a velocity that was wrong is no worse than before: a robot that was carried off drives on.
         let fused = |said: Prediction| {
             let (said, expected) = (said.with_noise(self.noise.odometry), expected.with_noise(self.noise.velocity));
-            let usually = last.motion.expect(self.usual_period.max(stamp.seconds_since(last.stamp))).prediction();
+            let usually = last.motion.expect(seconds).prediction();
             said.doubted_by(&expected, &usually).and(&expected)
         };
         let known = said.map_or(expected, fused);

@@ -46,13 +46,6 @@ struct Keyframe {
     way: f64,
 }
 
-impl Keyframe {
-    /// Its laser's heading, seen from another's.
-    fn heading_from(&self, map_from_laser: &Pose2) -> f64 {
-        self.place.map_from_laser.theta - map_from_laser.theta
-    }
-}
-
 /// Two places of the path, by the ways to them, that are one.
 #[derive(Clone, Copy, Debug)]
 struct Link {
@@ -156,7 +149,7 @@ impl LocalMap {
         let now = self.way();
         self.find_near(map_from_laser, |map, keyframe| {
             let is_seen =
-                scan.is_none_or(|scan| scan.shares_view_with(keyframe.view.scan(), keyframe.heading_from(map_from_laser)));
+                scan.is_none_or(|scan| scan.shares_view_with(keyframe.view.scan(), keyframe.place.heading_from(map_from_laser)));
             is_seen && (keyframe.way >= now || map.is_known(keyframe.way))
         });
         if self.near.is_empty() {

@@ -45,7 +45,7 @@ use crate::time::{Continuity, Stamp};
 use crate::transforms::LaserPlace;
 use answer::{Answer, Found, problem};
 use attempt::{Attempt, Last};
-pub use counters::OdometryCounters;
+pub use counters::{OdometryCounters, counted_in_words};
 use doubt::Doubt;
 use heading::HeadingReading;
 use keyframes::{Approach, UpcomingKeyframe, is_same_mount};
@@ -334,11 +334,11 @@ impl LaserOdometry {
         }
         let Some(last) = self.last else { return self.answer_first(scan, base_from_laser, self.start, PoseCovariance::zeros()) };
         let mut attempt = self.attempt(&last, scan.stamp(), base_from_laser);
-        let Some(keyframe) = self.keyframe else {
+        if self.keyframe.is_none() {
             let (map_from_base, covariance) = attempt.predicted_base();
             return self.answer_first(scan, base_from_laser, map_from_base, covariance);
-        };
-        let Some(keyframe) = self.keyframe_seen_by(scan, keyframe, &attempt) else {
+        }
+        let Some(keyframe) = self.keyframe_seen_by(scan, &attempt) else {
             return self.answer_unseen(scan, &attempt);
         };
         let first_guess = keyframe.map_from_laser.between(&attempt.predicted_laser());

@@ -19,6 +19,11 @@ pub(super) struct Placement {
 }
 
 impl Placement {
+    /// The laser's heading, seen from another's.
+    pub(super) fn heading_from(&self, map_from_laser: &Pose2) -> f64 {
+        self.map_from_laser.theta - map_from_laser.theta
+    }
+
     /// Pose of the base.
     pub(super) fn map_from_base(&self) -> Pose2 {
         self.map_from_laser * self.base_from_laser.inverse()

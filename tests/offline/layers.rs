@@ -22,7 +22,8 @@ const LAYERS: [&[&str]; 13] = [
     &["drive"],
 ];
 
-fn rust_files(folder: &Path) -> Vec<PathBuf> {
+/// The source files in a folder and those below it.
+pub(crate) fn rust_files(folder: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();

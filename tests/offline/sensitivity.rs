@@ -12,6 +12,7 @@ use std::process::Command;
 use serde_json::Value;
 
 use crate::common::shared;
+use crate::layers::rust_files;
 
 /// The folders whose constants are changed.
 const CORE: [&str; 2] = ["src/matching", "src/odometry"];
@@ -48,25 +49,11 @@ impl Constant {
     }
 }
 
-fn rust_files(folder: &Path, found: &mut Vec<PathBuf>) {
-    let mut entries: Vec<PathBuf> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
-    entries.sort();
-    for path in entries {
-        if path.is_dir() {
-            rust_files(&path, found);
-        } else if path.extension().is_some_and(|extension| extension == "rs") && !path.ends_with("tests.rs") {
-            found.push(path);
-        }
-    }
-}
-
 /// The numeric constants outside tests, and outside the scalar twin of the fast kernel.
 fn constants(root: &Path) -> Vec<Constant> {
-    let mut files = Vec::new();
-    for folder in CORE {
-        rust_files(&root.join(folder), &mut files);
-    }
-    files.retain(|file| !file.ends_with("specification.rs"));
+    let mut files: Vec<PathBuf> = CORE.iter().flat_map(|folder| rust_files(&root.join(folder))).collect();
+    files.retain(|file| !["tests.rs", "specification.rs"].iter().any(|name| file.ends_with(name)));
+    files.sort();
     files.iter().flat_map(|file| constants_of(file)).collect()
 }
 

@@ -105,7 +105,8 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let matched = matched.transpose()?;
     let errors = matched.and_then(|matched| summary.errors(&matched));
     let mut problems: Vec<String> = bag.problems().iter().map(ToString::to_string).chain(log.problems()).collect();
-    problems.extend(reservations(&localizer).into_iter().chain(summary.lost()));
+    problems.extend(localizer.mount().1.reservation().map(Into::into));
+    problems.extend(localizer.events_in_words().chain(summary.lost()));
     let text = files(arguments, &config).shown(
         arguments.json,
         || summary.to_json(errors.as_ref(), &problems),
@@ -173,18 +174,6 @@ impl Records {
         }
         Ok(self.summary)
     }
-}
-
-/// What the user should know, each with its remedy.
-fn reservations(localizer: &Localizer) -> Vec<String> {
-    let assumed = localizer.mount().1.reservation().map(Into::into);
-    let counted = [
-        (localizer.without_odometry(), "scans whose motion is that of a match to the scans before: no odometry covers it"),
-        (localizer.clock_steps(), "steps of the clock (each went on from the last pose)"),
-        (localizer.new_runs(), "jumps back in time (each started a new run, from the last pose)"),
-    ];
-    let counted = counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
-    assumed.into_iter().chain(counted).collect()
 }
 
 fn files<'a>(arguments: &'a Arguments, config: &'a Config) -> Files<'a> {
