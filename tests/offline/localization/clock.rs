@@ -81,6 +81,6 @@ fn a_clock_that_is_set_in_mid_drive_leads_nowhere_else() {
     ] {
         let (worst, passed_over) = driven_on(step, with_odometry);
         eprintln!("clock set by {step} s, odometry: {with_odometry}: {worst:.3} m at most, {passed_over} scans passed over");
-        assert!(worst < 0.1 && passed_over <= 1, "{step} s, {with_odometry}: {worst} m, {passed_over} scans passed over");
+        assert!(worst < 0.05 && passed_over <= 1, "{step} s, {with_odometry}: {worst} m, {passed_over} scans passed over");
     }
 }
