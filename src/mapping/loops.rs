@@ -339,11 +339,10 @@ impl<'a> Ways<'a> {
     pub(super) fn new(graph: &'a PoseGraph) -> Self {
         let poses = graph.poses();
         let mut steps = vec![Vec::new(); poses.len()];
-        for (number, Edge { from, to, motion, covariance, .. }) in graph.edges().iter().enumerate() {
-            if graph.weight(number) >= LEAST_WEIGHT {
-                steps[*from].push((*to, turned(covariance, poses[*from].theta)));
-                steps[*to].push((*from, turned(&reversed(motion, covariance), poses[*to].theta)));
-            }
+        for ((from, to), covariance) in joint(graph) {
+            let motion = poses[from].between(&poses[to]);
+            steps[from].push((to, turned(&covariance, poses[from].theta)));
+            steps[to].push((from, turned(&reversed(&motion, &covariance), poses[to].theta)));
         }
         Self { poses, steps }
     }
@@ -374,6 +373,16 @@ impl<'a> Ways<'a> {
         }
         known
     }
+}
+
+/// By pairs of keyframes: the covariance of the motion between them by all edges that they have in common. In a corridor a match knows the heading
+/// and odometry the way, which is much less than both errors one after the other.
+fn joint(graph: &PoseGraph) -> BTreeMap<(usize, usize), PoseCovariance> {
+    let mut known: BTreeMap<(usize, usize), PoseCovariance> = BTreeMap::new();
+    for (number, edge) in graph.edges().iter().enumerate().filter(|(number, _)| graph.weight(*number) >= LEAST_WEIGHT) {
+        *known.entry((edge.from, edge.to)).or_default() += graph.information(number);
+    }
+    known.into_iter().filter_map(|(pair, information)| Some((pair, information.try_inverse()?))).collect()
 }
 
 /// Covariance of a pose that is carried `way` farther, by a motion without error.

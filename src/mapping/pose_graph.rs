@@ -129,6 +129,11 @@ impl PoseGraph {
         self.squared_error_at(edge, &self.poses)
     }
 
+    /// What an edge knows: the inverse of its covariance.
+    pub fn information(&self, edge: usize) -> &Matrix3<f64> {
+        &self.information[edge]
+    }
+
     /// Part of its weight that an edge is left with.
     pub fn weight(&self, edge: usize) -> f64 {
         Kernel::GemanMcClure.weight(self.squared_error(edge))

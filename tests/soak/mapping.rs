@@ -16,16 +16,37 @@ const RESOLUTION: f64 = 0.05;
 
 /// Corridors 2.4 m wide around a block, 36 m x 14 m; every 4 m a niche, so that both long ones look alike in many places, and each like the
 /// other one turned round.
-#[allow(clippy::cast_sign_loss)] // sizes
-fn alike() -> OccupancyGrid {
+fn alike_corridors() -> OccupancyGrid {
     let (width, height) = (40.0, 18.0);
-    let is_free = |x: f64, y: f64| {
+    grid(width, height, |x, y| {
         let outside = (2.0..width - 2.0).contains(&x) && (2.0..height - 2.0).contains(&y);
         let block = (4.4..width - 4.4).contains(&x) && (4.4..height - 4.4).contains(&y);
         let in_niches = x.rem_euclid(4.0) > 1.25 && x.rem_euclid(4.0) < 2.75 && (4.0..width - 4.0).contains(&x);
         let niche = in_niches && ((1.4..2.0).contains(&y) || (height - 2.0..height - 1.4).contains(&y));
         (outside && !block) || niche
+    })
+}
+
+/// Six rooms, 8 m x 7 m, with the same pillar and cupboard each, three in a row and the other three turned round; doors and short
+/// corridors make a ring of them.
+fn alike_rooms() -> OccupancyGrid {
+    let (width, height) = (44.0, 20.0);
+    let in_row = |x: f64, y: f64| {
+        let u = (x - 4.0).rem_euclid(12.0);
+        let room = (4.0..width - 4.0).contains(&x) && u < 8.0 && (11.0..18.0).contains(&y);
+        let pillar = (1.2..2.0).contains(&u) && (16.2..17.0).contains(&y);
+        let cupboard = (5.5..7.2).contains(&u) && y > 17.2;
+        let corridor = (1.0..width - 1.0).contains(&x) && (13.6..15.4).contains(&y);
+        (room && !pillar && !cupboard) || corridor
     };
+    grid(width, height, |x, y| {
+        let across = (1.0..2.8).contains(&x.min(width - x)) && (4.6..15.4).contains(&y);
+        in_row(x, y) || in_row(width - x, height - y) || across
+    })
+}
+
+#[allow(clippy::cast_sign_loss)] // sizes
+fn grid(width: f64, height: f64, is_free: impl Fn(f64, f64) -> bool) -> OccupancyGrid {
     let columns = (width / RESOLUTION) as usize;
     let rows = (height / RESOLUTION) as usize;
     let centre = |i: usize| RESOLUTION * (i as f64 + 0.5);
@@ -39,32 +60,44 @@ fn json(arguments: &[&str]) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// `SEEDS=100 cargo test --release --test soak alike -- --nocapture` drives a hundred times.
+/// Drives round and round with a laser that reaches 8 m; the map's mean and greatest error, m.
+fn mapped(world: OccupancyGrid, seed: u32, duration: f64) -> (f64, f64) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let mut settings = Settings::default();
+    (settings.drive.seed, settings.drive.duration) = (seed, Seconds(duration));
+    (settings.lidar.beams, settings.lidar.rate, settings.lidar.noise, settings.lidar.range_max) = (181, 5.0, 0.02, 8.0);
+    settings.vehicle.speed = 1.5;
+    let mut poses = Vec::new();
+    let writer = BagWriter::create_whole(path("x.bag"), Compression::None).unwrap();
+    record(&settings, &Scene::in_map(world, seed).unwrap(), writer, TumWriter::new(&mut poses)).unwrap();
+    std::fs::write(path("truth.tum"), poses).unwrap();
+    let summary = json(&["map", &path("x.bag"), "--out", &path("x"), "--tum", &path("final.tum"), "--json"]);
+    let found = json(&["evaluate", &path("final.tum"), "--truth", &path("truth.tum"), "--json"]);
+    let [rmse, max] = ["rmse", "max"].map(|name| found["ate"]["trans_m"][name].as_f64().unwrap());
+    println!("seed {seed}: {} m, {} loop edges, ATE {rmse:.3} m, at most {max:.3} m", summary["distance_m"], summary["loops"]);
+    (rmse, max)
+}
+
+/// Mean and greatest error of the worst of some drives, m: `SEEDS=100 cargo test --release --test soak alike -- --nocapture` makes a
+/// hundred in each world.
+fn worst(world: fn() -> OccupancyGrid, seeds: u32, duration: f64) -> (f64, f64) {
+    let seeds = std::env::var("SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(seeds);
+    let errors = (1..=seeds).map(|seed| mapped(world(), seed, duration));
+    errors.fold((0.0, 0.0), |worst, error| (worst.0.max(error.0), worst.1.max(error.1)))
+}
+
 #[test]
 fn corridors_that_look_alike_are_not_taken_for_each_other() {
-    let seeds = std::env::var("SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(8);
-    let (mut worst, mut farthest): (f64, f64) = (0.0, 0.0);
-    for seed in 1..=seeds {
-        let folder = tempfile::tempdir().unwrap();
-        let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-        let mut settings = Settings::default();
-        (settings.drive.seed, settings.drive.duration) = (seed, Seconds(90.0));
-        (settings.lidar.beams, settings.lidar.rate, settings.lidar.noise, settings.lidar.range_max) = (181, 5.0, 0.02, 8.0);
-        settings.vehicle.speed = 1.5;
-        let mut poses = Vec::new();
-        let writer = BagWriter::create_whole(path("x.bag"), Compression::None).unwrap();
-        record(&settings, &Scene::in_map(alike(), seed).unwrap(), writer, TumWriter::new(&mut poses)).unwrap();
-        std::fs::write(path("truth.tum"), poses).unwrap();
-        let summary = json(&["map", &path("x.bag"), "--out", &path("x"), "--tum", &path("final.tum"), "--json"]);
-        let found = json(&["evaluate", &path("final.tum"), "--truth", &path("truth.tum"), "--json"]);
-        let [rmse, max] = ["rmse", "max"].map(|name| found["ate"]["trans_m"][name].as_f64().unwrap());
-        println!(
-            "seed {seed}: {} m, {} loop edges, ATE {rmse:.3} m, at most {max:.3} m",
-            summary["distance_m"], summary["loops"]
-        );
-        (worst, farthest) = (worst.max(rmse), farthest.max(max));
-    }
+    let (worst, farthest) = worst(alike_corridors, 8, 90.0);
     // A wrong loop bends the whole map; a keyframe by itself may be placed wrong where niche is like niche.
-    assert!(worst < 0.114, "{worst} m: a loop was closed that is none");
+    assert!(worst < 0.16, "{worst} m: a loop was closed that is none");
+    assert!(farthest < 0.634, "{farthest} m");
+}
+
+#[test]
+fn rooms_that_look_alike_are_not_taken_for_each_other() {
+    let (worst, farthest) = worst(alike_rooms, 4, 180.0);
+    assert!(worst < 0.2, "{worst} m: a loop was closed that is none");
     assert!(farthest < 0.634, "{farthest} m");
 }
