@@ -70,8 +70,8 @@ crate::knobs! {
 const SEQUENCE: usize = 3;
 /// Least part of the rays that must agree in such a match.
 const AGREEING: f64 = 0.6;
-/// ... and is this many standard deviations at most from what odometry says.
-const CONTRADICTING: f64 = 5.0;
+/// ... and is this many standard deviations at most from what odometry says: 99 % of three coordinates (chi-squared 11.3).
+const CONTRADICTING: f64 = 3.4;
 /// Rounds of looking for places of earlier at most: each finds some, or is of a greater window.
 const MAX_ROUNDS: usize = 60;
 /// Poses are found to this, m and rad, while more is to be found, ...

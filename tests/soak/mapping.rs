@@ -87,17 +87,19 @@ fn worst(world: fn() -> OccupancyGrid, seeds: u32, duration: f64) -> (f64, f64) 
     errors.fold((0.0, 0.0), |worst, error| (worst.0.max(error.0), worst.1.max(error.1)))
 }
 
+/// A wrong loop bends the whole map; of 200 drives the worst had .155 m, ...
+const BENT: f64 = 0.186;
+/// ... and where niche is like niche, its worst keyframe by itself .378 m.
+const MISPLACED: f64 = 0.45;
+
 #[test]
 fn corridors_that_look_alike_are_not_taken_for_each_other() {
     let (worst, farthest) = worst(alike_corridors, 8, 90.0);
-    // A wrong loop bends the whole map; a keyframe by itself may be placed wrong where niche is like niche.
-    assert!(worst < 0.16, "{worst} m: a loop was closed that is none");
-    assert!(farthest < 0.634, "{farthest} m");
+    assert!(worst < BENT && farthest < MISPLACED, "{worst}, {farthest} m");
 }
 
 #[test]
 fn rooms_that_look_alike_are_not_taken_for_each_other() {
     let (worst, farthest) = worst(alike_rooms, 4, 180.0);
-    assert!(worst < 0.2, "{worst} m: a loop was closed that is none");
-    assert!(farthest < 0.634, "{farthest} m");
+    assert!(worst < BENT && farthest < MISPLACED, "{worst}, {farthest} m");
 }
