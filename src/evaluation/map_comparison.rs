@@ -10,12 +10,11 @@ use std::fmt;
 
 use comfy_table::{CellAlignment, Table, presets};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::geometry::{Point, Pose2, RigidTransform, perpendicular};
-use crate::map::distance::DistanceField;
+use super::map_alignment::alignment;
+use crate::geometry::{Point, Pose2, RigidTransform};
 use crate::map::grid::{Cell, OccupancyGrid};
 use crate::quantile;
 
@@ -23,10 +22,6 @@ use crate::quantile;
 pub const FAR: f64 = 0.1;
 /// Walls count as seen where free space was seen this near, m.
 const BESIDE: f64 = 0.15;
-/// Limits of pairs while aligning, m: wide first.
-const ALIGNING: [f64; 4] = [2.0, 0.7, 0.3, 0.15];
-/// Steps with each.
-const STEPS: usize = 30;
 
 /// Distances from one map's occupied cells to another's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -83,7 +78,7 @@ pub struct MapComparison {
 }
 
 impl MapComparison {
-    /// Compares a map with the true one, which has its frame; or, with `align`, one that is up to two metres and some degrees away.
+    /// Compares a map with the true one, which has its frame; or, with `align`, one that has any other.
     ///
     /// The map can miss the walls that rays `met`, by the numbers of their cells in the truth; where that is not known, those that it says it
     /// is free beside.
@@ -211,78 +206,6 @@ fn distances(points: &[Point], others: &[Point]) -> Vec<f64> {
     let Some(tree) = tree(others) else { return Vec::new() };
     let nearest = |p: &Point| tree.query(&[p.x, p.y]).nearest_one::<SquaredEuclidean<f64>>().execute();
     points.iter().map(|point| nearest(point).distance.sqrt()).collect()
-}
-
-/// The motion that lays points onto the truth's walls: least squares of the distances to them, within limits that narrow. The distances are
-/// between cells' centres, and interpolated: nearest points would stick to their cells.
-fn alignment(points: &[Point], truth: &OccupancyGrid) -> Pose2 {
-    let field = Field::of(truth);
-    let mut motion = Pose2::IDENTITY;
-    for limit in ALIGNING {
-        for _ in 0..STEPS {
-            let Some(step) = field.step(points, &motion, limit) else { break };
-            motion = Pose2::new(motion.x + step.x, motion.y + step.y, motion.theta + step.z);
-            if step.amax() < 1e-5 {
-                break;
-            }
-        }
-    }
-    motion
-}
-
-/// Distances to the walls of a map, also around it.
-struct Field<'a> {
-    map: &'a OccupancyGrid,
-    /// Cells added on every side.
-    margin: i64,
-    distances: DistanceField,
-}
-
-impl<'a> Field<'a> {
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_possible_wrap)] // a few hundred cells
-    fn of(map: &'a OccupancyGrid) -> Self {
-        // Beyond its edge a field is blocked.
-        let margin = (2.0 * ALIGNING[0] / map.resolution()).ceil() as usize;
-        let width = map.width() + 2 * margin;
-        let mut walls = vec![false; width * (map.height() + 2 * margin)];
-        for (i, _) in map.cells().iter().enumerate().filter(|(_, cell)| **cell == Cell::Occupied) {
-            walls[(i / map.width() + margin) * width + i % map.width() + margin] = true;
-        }
-        Self { map, margin: margin as i64, distances: DistanceField::new(width, walls) }
-    }
-
-    /// Distance of a point from the walls, m, and its slope along the map's axes.
-    #[allow(clippy::cast_possible_truncation)] // saturates
-    fn at(&self, point: &Point) -> (f64, Point) {
-        let place = self.map.coordinates(*point) - Point::new(0.5, 0.5);
-        let (column, row) = (place.x.floor(), place.y.floor());
-        let (x, y) = (place.x - column, place.y - row);
-        let value = |dx: i64, dy: i64| {
-            let [column, row] = [(column as i64).saturating_add(dx), (row as i64).saturating_add(dy)];
-            self.distances.at(column.saturating_add(self.margin), row.saturating_add(self.margin))
-        };
-        let [a, b, c, d] = [value(0, 0), value(1, 0), value(0, 1), value(1, 1)];
-        let (low, high) = (a + x * (b - a), c + x * (d - c));
-        let slope = Point::new((1.0 - y) * (b - a) + y * (d - c), high - low);
-        let turned = self.map.origin().transform().rotate(slope);
-        ((low + y * (high - low)) * self.map.resolution(), turned)
-    }
-
-    /// The Gauss-Newton step for the points nearer than `limit`; `None` where they do not determine one.
-    fn step(&self, points: &[Point], motion: &Pose2, limit: f64) -> Option<Vector3<f64>> {
-        let transform = motion.transform();
-        let (mut matrix, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
-        for point in points {
-            let rotated = transform.rotate(*point);
-            let (distance, slope) = self.at(&(rotated + motion.translation()));
-            if distance < limit {
-                let by_motion = Vector3::new(slope.x, slope.y, slope.dot(&perpendicular(rotated)));
-                matrix += by_motion * by_motion.transpose();
-                gradient -= by_motion * distance;
-            }
-        }
-        Some(matrix.cholesky()?.solve(&gradient))
-    }
 }
 
 impl Shape {

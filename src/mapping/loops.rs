@@ -56,8 +56,6 @@ const STRETCH: f64 = 2.0;
 const VISIT: f64 = 15.0;
 /// Errors of the heading count by what they do at this distance, m.
 const LEVER: f64 = 5.0;
-/// An edge left with less of its weight is a mistake: no way leads over it.
-const LEAST_WEIGHT: f64 = 0.25;
 
 /// Looks for places of earlier; remembers what it has tried.
 #[derive(Clone, Debug, Default)]
@@ -375,12 +373,12 @@ impl<'a> Ways<'a> {
     }
 }
 
-/// By pairs of keyframes: the covariance of the motion between them by all edges that they have in common. In a corridor a match knows the heading
-/// and odometry the way, which is much less than both errors one after the other.
+/// By pairs of keyframes: the covariance of the motion between them by all edges that they have in common, each by its weight: what others
+/// contradict says little. In a corridor a match knows the heading and odometry the way.
 fn joint(graph: &PoseGraph) -> BTreeMap<(usize, usize), PoseCovariance> {
     let mut known: BTreeMap<(usize, usize), PoseCovariance> = BTreeMap::new();
-    for (number, edge) in graph.edges().iter().enumerate().filter(|(number, _)| graph.weight(*number) >= LEAST_WEIGHT) {
-        *known.entry((edge.from, edge.to)).or_default() += graph.information(number);
+    for (number, edge) in graph.edges().iter().enumerate() {
+        *known.entry((edge.from, edge.to)).or_default() += graph.weight(number) * graph.information(number);
     }
     known.into_iter().filter_map(|(pair, information)| Some((pair, information.try_inverse()?))).collect()
 }

@@ -35,7 +35,7 @@ use std::ops::Range;
 use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::rejection::RejectionKnobs;
-use crate::matching::{MatchingKnobs, Prior};
+use crate::matching::{MatchingKnobs, Prior, View};
 use crate::odometry::uncertainty;
 use crate::scan::Scan;
 use crate::time::Stamp;
@@ -201,10 +201,24 @@ impl Mapper {
         if !is_start {
             let covariance = if self.is_lost { uncertainty::diagonal(LOST_ERROR, LOST_TURN) } else { of_step(&motion) };
             self.graph.add_edge(Edge { from: number - 1, to: number, motion, covariance, kind: EdgeKind::Odometry });
+            self.forget_moved(number);
             self.add_sequence(number);
         }
         self.is_lost = false;
         self.window = 0;
+    }
+
+    /// A keyframe and those before it forget what has moved between them.
+    fn forget_moved(&mut self, number: usize) {
+        let (before, later) = self.keyframes.split_at_mut(number);
+        let Some(later) = later.first_mut() else { return };
+        let first = number.saturating_sub(SEQUENCE);
+        for earlier in before[first..].iter_mut().filter(|earlier| earlier.run == later.run) {
+            let motion = earlier.odom_from_laser.between(&later.odom_from_laser);
+            if let (Some(of_earlier), Some(of_later)) = (&mut earlier.view, &mut later.view) {
+                View::forget_moved(of_earlier, of_later, &motion);
+            }
+        }
     }
 
     /// Edges to the keyframes before one.

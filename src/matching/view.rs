@@ -2,6 +2,7 @@
 
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use fearless_simd::{Simd, f32x8, i32x8, prelude::*, u32x8};
 
@@ -75,9 +76,24 @@ impl View {
         &self.surfaces
     }
 
+    /// Two views forget the surfaces that the other's laser has looked through: what stood there has moved. `a_from_b`: pose of the laser of
+    /// `b` in the frame of the laser of `a`.
+    pub fn forget_moved(a: &mut Arc<Self>, b: &mut Arc<Self>, a_from_b: &Pose2) {
+        let of_a: Vec<usize> = a.seen_through(b, &a_from_b.inverse()).collect();
+        let of_b: Vec<usize> = b.seen_through(a, a_from_b).collect();
+        for (view, places) in [(a, of_a), (b, of_b)] {
+            if !places.is_empty() {
+                let surfaces = &mut Arc::make_mut(view).surfaces;
+                for place in places {
+                    surfaces[place] = Surface::NONE;
+                }
+            }
+        }
+    }
+
     /// The places of surfaces that another laser has looked through: what stood there has moved. `other_from_self`: pose of this view's
     /// laser in the other's frame.
-    pub fn seen_through<'a>(&'a self, other: &'a Self, other_from_self: &Pose2) -> impl Iterator<Item = usize> + 'a {
+    fn seen_through<'a>(&'a self, other: &'a Self, other_from_self: &Pose2) -> impl Iterator<Item = usize> + 'a {
         let (bearings, transform) = (other.bearings(), other_from_self.transform());
         let (own_ranges, ranges) = (self.ranges_by_bearing(), other.ranges_by_bearing());
         (0..self.scan.len()).filter_map(move |place| {
@@ -98,13 +114,6 @@ impl View {
     /// Ranges where the beams of even spacing would be, m; NaN where there is no measurement.
     fn ranges_by_bearing(&self) -> &[f64] {
         if self.scan.beams().is_even() { self.scan.ranges() } else { &self.sorted_ranges }
-    }
-
-    /// Forgets the surfaces at some places.
-    pub fn forget(&mut self, places: &[usize]) {
-        for &place in places {
-            self.surfaces[place] = Surface::NONE;
-        }
     }
 
     /// Which beam looks which way.
@@ -226,12 +235,15 @@ mod tests {
     #[test]
     fn who_has_gone_is_forgotten() {
         for (turn_before, turn_after) in [(0.0, 0.0), (0.0, 0.2), (0.2, 0.0)] {
-            let (mut before, after) = (wall(true, turn_before), wall(false, turn_after));
+            let (before, after) = (wall(true, turn_before), wall(false, turn_after));
             let still = Pose2::IDENTITY;
             let gone: Vec<usize> = before.seen_through(&after, &still).collect();
             assert!(gone.len() >= 7 && gone.iter().all(|place| (39..51).contains(place)), "{gone:?}");
-            before.forget(&gone);
-            assert!(before.surfaces()[45].is_none() && !before.surfaces()[60].is_none());
+            let (mut forgetful, mut later) = (Arc::new(before), Arc::new(after.clone()));
+            View::forget_moved(&mut forgetful, &mut later, &still);
+            assert!(forgetful.surfaces()[45].is_none() && !forgetful.surfaces()[60].is_none());
+            let kept = |view: &View| view.surfaces().iter().filter(|surface| !surface.is_none()).count();
+            assert_eq!(kept(&later), kept(&after));
             assert_eq!(after.seen_through(&wall(true, turn_before), &still).count(), 0, "who has come hides the wall");
             let moved = wall(false, 0.0);
             assert_eq!(after.seen_through(&moved, &Pose2::new(0.3, 0.2, 0.01)).count(), 0, "nothing has moved but the laser");

@@ -76,8 +76,6 @@ pub(super) struct LocalMap {
     held_until: f64,
     /// How different the views near a pose are, and their indices; kept for its memory.
     near: Vec<(f64, usize)>,
-    /// Places of surfaces that were seen through; kept for its memory.
-    seen_through: Vec<usize>,
 }
 
 impl LocalMap {
@@ -110,24 +108,11 @@ impl LocalMap {
     /// had looked through its own.
     pub(super) fn forget_moved(&mut self) {
         let Some(last) = self.keyframes.len().checked_sub(1) else { return };
-        for i in 0..last {
-            if self.matched.contains(&self.keyframes[i].way) {
-                self.forget_seen_through(i, last);
-                self.forget_seen_through(last, i);
-            }
+        let (earlier, last) = self.keyframes.make_contiguous().split_at_mut(last);
+        for earlier in earlier.iter_mut().filter(|earlier| self.matched.contains(&earlier.way)) {
+            let motion = earlier.place.map_from_laser.between(&last[0].place.map_from_laser);
+            View::forget_moved(&mut earlier.view, &mut last[0].view, &motion);
         }
-    }
-
-    /// Forgets the surfaces of keyframe `seen` that keyframe `looking` has looked through.
-    fn forget_seen_through(&mut self, seen: usize, looking: usize) {
-        let mut places = std::mem::take(&mut self.seen_through);
-        places.clear();
-        let [of, by] = [seen, looking].map(|i| &self.keyframes[i]);
-        places.extend(of.view.seen_through(&by.view, &by.place.map_from_laser.between(&of.place.map_from_laser)));
-        if !places.is_empty() {
-            Arc::make_mut(&mut self.keyframes[seen].view).forget(&places);
-        }
-        self.seen_through = places;
     }
 
     /// The last keyframe: where it was taken, and what was seen there.

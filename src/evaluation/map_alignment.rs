@@ -1,0 +1,204 @@
+//! Where one map lies on another: the motion that lays its walls onto the other's.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::geometry::{Point, Pose2, perpendicular};
+use crate::map::distance::DistanceField;
+use crate::map::grid::{Cell, OccupancyGrid};
+
+/// Limits of pairs while aligning, m: wide first.
+const LIMITS: [f64; 4] = [2.0, 0.7, 0.3, 0.15];
+/// Steps with each.
+const STEPS: usize = 30;
+/// Motions to begin with: so many headings, 3 degrees apart, ...
+const HEADINGS: usize = 120;
+/// ... and places so far apart, m.
+const SPACING: f64 = 1.0;
+/// So many points of the map tell which motions are worth a try, ...
+const SAMPLE: usize = 150;
+/// ... and so many are tried, ...
+const TRIED: usize = 10;
+/// ... no two of them nearer to one another than this, m and rad.
+const APART: f64 = 1.5;
+
+/// The motion that lays points onto the truth's walls: least squares of the distances to them, within limits that narrow. It begins where the
+/// points are, and at the likeliest motions of all. The distances are between cells' centres, and interpolated: nearest points would stick to
+/// their cells.
+pub(super) fn alignment(points: &[Point], truth: &OccupancyGrid) -> Pose2 {
+    let field = Field::of(truth);
+    let sample: Vec<Point> = points.iter().step_by(points.len().div_ceil(SAMPLE).max(1)).copied().collect();
+    let begun = std::iter::once(Pose2::IDENTITY).chain(field.starts(&sample));
+    let refined =
+        begun.map(|start| field.refined(points, start)).map(|motion| (field.cost(points, &motion, f64::INFINITY), motion));
+    refined.reduce(|best, other| if other.0 < best.0 { other } else { best }).map_or(Pose2::IDENTITY, |(_, motion)| motion)
+}
+
+/// Distances to the walls of a map, also around it.
+struct Field<'a> {
+    map: &'a OccupancyGrid,
+    /// Cells added on every side.
+    margin: i64,
+    distances: DistanceField,
+}
+
+impl<'a> Field<'a> {
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_possible_wrap)] // a few hundred cells
+    fn of(map: &'a OccupancyGrid) -> Self {
+        // Beyond its edge a field is blocked.
+        let margin = (2.0 * LIMITS[0] / map.resolution()).ceil() as usize;
+        let width = map.width() + 2 * margin;
+        let mut walls = vec![false; width * (map.height() + 2 * margin)];
+        for (i, _) in map.cells().iter().enumerate().filter(|(_, cell)| **cell == Cell::Occupied) {
+            walls[(i / map.width() + margin) * width + i % map.width() + margin] = true;
+        }
+        Self { map, margin: margin as i64, distances: DistanceField::new(width, walls) }
+    }
+
+    /// Distance of a point's cell from the walls, m; infinite far from the map.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_possible_wrap)] // saturates
+    fn near(&self, point: &Point) -> f64 {
+        let place = self.map.coordinates(*point);
+        let cell = |along: f64, size: usize| {
+            let cell = (along.floor() as i64).saturating_add(self.margin);
+            (0..size as i64 + 2 * self.margin).contains(&cell).then_some(cell)
+        };
+        match (cell(place.x, self.map.width()), cell(place.y, self.map.height())) {
+            (Some(column), Some(row)) => self.distances.at(column, row) * self.map.resolution(),
+            _ => f64::INFINITY,
+        }
+    }
+
+    /// Distance of a point from the walls, m, and its slope along the map's axes.
+    #[allow(clippy::cast_possible_truncation)] // saturates
+    fn at(&self, point: &Point) -> (f64, Point) {
+        let place = self.map.coordinates(*point) - Point::new(0.5, 0.5);
+        let (column, row) = (place.x.floor(), place.y.floor());
+        let (x, y) = (place.x - column, place.y - row);
+        let value = |dx: i64, dy: i64| {
+            let [column, row] = [(column as i64).saturating_add(dx), (row as i64).saturating_add(dy)];
+            self.distances.at(column.saturating_add(self.margin), row.saturating_add(self.margin))
+        };
+        let [a, b, c, d] = [value(0, 0), value(1, 0), value(0, 1), value(1, 1)];
+        let (low, high) = (a + x * (b - a), c + x * (d - c));
+        let slope = Point::new((1.0 - y) * (b - a) + y * (d - c), high - low);
+        let turned = self.map.origin().transform().rotate(slope);
+        ((low + y * (high - low)) * self.map.resolution(), turned)
+    }
+
+    /// Sum of the points' distances, m, none of which counts for more than the widest limit; above `most` it goes no farther.
+    fn cost(&self, points: &[Point], motion: &Pose2, most: f64) -> f64 {
+        let transform = motion.transform();
+        let mut sum = 0.0;
+        for point in points {
+            sum += self.near(&transform.apply(*point)).min(LIMITS[0]);
+            if sum > most {
+                break;
+            }
+        }
+        sum
+    }
+
+    /// The motions that lay the points next to the walls, by coarse steps, best first.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // places on a map
+    fn starts(&self, points: &[Point]) -> Vec<Pose2> {
+        let middle = points.iter().sum::<Point>() / points.len().max(1) as f64;
+        let size = Point::new(self.map.width() as f64, self.map.height() as f64) * self.map.resolution();
+        let (columns, rows) = ((size.x / SPACING) as usize, (size.y / SPACING) as usize);
+        let place = |i: usize| Point::new((i % columns) as f64 + 0.5, (i / columns) as f64 + 0.5) * SPACING;
+        let mut best: Vec<(f64, Pose2)> = Vec::new();
+        for heading in (0..HEADINGS).map(|i| i as f64 * TAU / HEADINGS as f64) {
+            let turn = Pose2::new(0.0, 0.0, heading).transform();
+            for place in (0..columns * rows).map(place) {
+                let offset = self.map.origin().transform().apply(place) - turn.rotate(middle);
+                let motion = Pose2::new(offset.x, offset.y, heading);
+                let most = if best.len() < TRIED { f64::INFINITY } else { best[TRIED - 1].0 };
+                let cost = self.cost(points, &motion, most);
+                if cost >= most {
+                    continue;
+                }
+                let is_apart = |other: &Pose2| {
+                    let way = other.transform().apply(middle) - turn.apply(middle) - offset;
+                    way.norm() + other.between(&motion).theta.abs() > APART
+                };
+                if best.iter().all(|(than, other)| is_apart(other) || cost < *than) {
+                    best.retain(|(_, other)| is_apart(other));
+                    best.insert(best.partition_point(|(than, _)| *than <= cost), (cost, motion));
+                    best.truncate(TRIED);
+                }
+            }
+        }
+        best.into_iter().map(|(_, motion)| motion).collect()
+    }
+
+    fn refined(&self, points: &[Point], mut motion: Pose2) -> Pose2 {
+        for limit in LIMITS {
+            for _ in 0..STEPS {
+                let Some(step) = self.step(points, &motion, limit) else { break };
+                motion = Pose2::new(motion.x + step.x, motion.y + step.y, motion.theta + step.z);
+                if step.amax() < 1e-5 {
+                    break;
+                }
+            }
+        }
+        motion
+    }
+
+    /// The Gauss-Newton step for the points nearer than `limit`; `None` where they do not determine one.
+    fn step(&self, points: &[Point], motion: &Pose2, limit: f64) -> Option<Vector3<f64>> {
+        let transform = motion.transform();
+        let (mut matrix, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
+        for point in points {
+            let rotated = transform.rotate(*point);
+            let (distance, slope) = self.at(&(rotated + motion.translation()));
+            if distance < limit {
+                let by_motion = Vector3::new(slope.x, slope.y, slope.dot(&perpendicular(rotated)));
+                matrix += by_motion * by_motion.transpose();
+                gradient -= by_motion * distance;
+            }
+        }
+        Some(matrix.cholesky()?.solve(&gradient))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The walls of an L-shaped room, 20 m x 12 m and 8 m x 6 m, by the middles of their cells.
+    fn walls() -> Vec<Point> {
+        let corners = [(1.0, 1.0), (21.0, 1.0), (21.0, 13.0), (13.0, 13.0), (13.0, 7.0), (1.0, 7.0), (1.0, 1.0)];
+        let mut walls = Vec::new();
+        for ends in corners.windows(2) {
+            let [from, to] = [ends[0], ends[1]].map(|(x, y)| Point::new(x + 0.025, y + 0.025));
+            let steps = ((to - from).norm() / 0.05).round();
+            walls.extend((0..400).map(f64::from).take_while(|i| *i < steps).map(|i| from + (to - from) * (i / steps)));
+        }
+        walls
+    }
+
+    #[allow(clippy::cast_precision_loss)] // a few hundred cells
+    fn grid(walls: &[Point]) -> OccupancyGrid {
+        let centre = |i: usize| Point::new((i % 440) as f64 + 0.5, (i / 440) as f64 + 0.5) * 0.05;
+        let is_wall = |i: usize| walls.iter().any(|wall| (wall - centre(i)).norm() < 0.01);
+        let cell = |i: usize| if is_wall(i) { Cell::Occupied } else { Cell::Free };
+        OccupancyGrid::new(440, 0.05, Pose2::IDENTITY, (0..440 * 280).map(cell).collect()).unwrap()
+    }
+
+    #[test]
+    fn a_map_is_found_wherever_its_frame_is() {
+        let (walls, truth) = (walls(), grid(&walls()));
+        for frame in [Pose2::IDENTITY, Pose2::new(8.0, -20.0, 2.4), Pose2::new(-300.0, 40.0, -1.0)] {
+            let back = frame.inverse().transform();
+            let seen: Vec<Point> = walls.iter().map(|wall| back.apply(*wall)).collect();
+            let found = frame.between(&alignment(&seen, &truth));
+            assert!(found.distance() < 0.05 && found.theta.abs() < 0.003, "{frame:?}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn nothing_lies_anywhere() {
+        assert_eq!(alignment(&[], &grid(&walls())), Pose2::IDENTITY);
+    }
+}
