@@ -48,7 +48,8 @@ pub(super) struct Junction {
     agreement: f64,
 }
 
-/// Finds where on a map a run belongs; `None` where it fits nowhere, or in several places.
+/// Finds where on a map a run belongs, by the keyframes of the map that are `known` and still have their views; `None` where it fits nowhere,
+/// or in several places.
 pub(super) fn find(
     keyframes: &[Keyframe],
     poses: &[Pose2],

@@ -288,7 +288,7 @@ impl Mapper {
             if is_placed[run.start] || run.len() < joining::FEWEST {
                 continue;
             }
-            let known: Vec<usize> = (0..is_placed.len()).filter(|&k| is_placed[k]).collect();
+            let known: Vec<usize> = (0..is_placed.len()).filter(|&k| is_placed[k] && self.keyframes[k].view.is_some()).collect();
             let poses = self.graph.poses();
             let Some(junction) = joining::find(&self.keyframes, poses, &known, run.clone(), &mut self.matcher) else { continue };
             self.graph.move_poses(run.clone(), &junction.correction);
