@@ -330,8 +330,10 @@ impl App {
     pub fn sighting(&mut self, message: &Sensed, estimate: &Estimate) -> Option<(Sighting, Scan)> {
         let passage = estimate.passage()?;
         let measured = self.scan(message)?;
-        let (odom_from_base, base_from_laser) = (estimate.registration.odom_from_base, self.intake.mount.base_from_laser);
-        Some((Sighting { scan: self.undistorted(measured.clone()), odom_from_base, base_from_laser, passage }, measured))
+        let Registration { odom_from_base, covariance, .. } = estimate.registration;
+        let base_from_laser = self.intake.mount.base_from_laser;
+        let scan = self.undistorted(measured.clone());
+        Some((Sighting { scan, odom_from_base, covariance, base_from_laser, passage }, measured))
     }
 
     /// That scan as the laser would have seen it at its stamp.

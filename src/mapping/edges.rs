@@ -5,11 +5,12 @@
 
 use std::sync::Arc;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, Matcher, MatchingKnobs, PlacedView, View};
+use crate::odometry::uncertainty;
 use crate::scan::Scan;
 
 /// What no match is better than, whatever its pairs know: walls are uneven and beams wide, and what neighbouring rays err in common stays. m ...
@@ -82,9 +83,13 @@ impl EdgeMatcher {
 /// The covariance that an edge has by what the pairs know; along a direction that they leave open that is nothing.
 fn covariance(mut information: Matrix3<f64>) -> Option<PoseCovariance> {
     information += Matrix3::identity() / (OPEN * OPEN);
-    let least = Vector3::new(LEAST_ERROR, LEAST_ERROR, LEAST_TURN_ERROR).map(|error| error * error);
-    let covariance = information.try_inverse()? + Matrix3::from_diagonal(&least);
+    let covariance = information.try_inverse()? + least();
     covariance.iter().all(|value| value.is_finite()).then_some(covariance)
+}
+
+/// Covariance that no motion between keyframes is known better than.
+pub(super) fn least() -> PoseCovariance {
+    uncertainty::diagonal(LEAST_ERROR, LEAST_TURN_ERROR)
 }
 
 #[cfg(test)]

@@ -2,8 +2,9 @@
 
 use std::sync::Arc;
 
-use crate::geometry::Pose2;
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::View;
+use crate::odometry::uncertainty;
 use crate::scan::Scan;
 use crate::time::Stamp;
 
@@ -14,6 +15,8 @@ pub struct Sighting {
     pub scan: Scan,
     /// Pose of the base where it never jumps, not even when a place is recognised: a step that corrects earlier ones is no motion.
     pub odom_from_base: Pose2,
+    /// Covariance of that pose, along the axes of its frame.
+    pub covariance: PoseCovariance,
     /// Place of the laser on the base.
     pub base_from_laser: Pose2,
     /// How odometry came to the pose.
@@ -24,6 +27,11 @@ impl Sighting {
     /// Pose of the laser.
     pub fn odom_from_laser(&self) -> Pose2 {
         self.odom_from_base * self.base_from_laser
+    }
+
+    /// Covariance of that pose, along the axes of the odometry's frame.
+    pub fn laser_covariance(&self) -> PoseCovariance {
+        uncertainty::compound(&self.odom_from_base, &self.covariance, &self.base_from_laser, &PoseCovariance::zeros())
     }
 }
 

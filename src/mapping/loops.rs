@@ -384,7 +384,7 @@ fn joint(graph: &PoseGraph) -> BTreeMap<(usize, usize), PoseCovariance> {
 }
 
 /// Covariance of a pose that is carried `way` farther, by a motion without error.
-fn carried(covariance: &PoseCovariance, way: &Point) -> PoseCovariance {
+pub(super) fn carried(covariance: &PoseCovariance, way: &Point) -> PoseCovariance {
     let (x, y, turn) = (way.x, way.y, covariance.m33);
     let (with_x, with_y) = (covariance.m13 - y * turn, covariance.m23 + x * turn);
     let xx = covariance.m11 - y * (covariance.m13 + with_x);

@@ -118,6 +118,8 @@ pub struct Mapper {
     ways: Vec<f64>,
     steps: Vec<Step>,
     drawn: Vec<Drawn>,
+    /// Of the last keyframe's pose by odometry, along the axes of its frame.
+    last_covariance: PoseCovariance,
     is_lost: bool,
     last_drawn: Option<Pose2>,
     /// Between scans that are drawn.
@@ -138,6 +140,7 @@ impl Mapper {
             ways: Vec::new(),
             steps: Vec::new(),
             drawn: Vec::new(),
+            last_covariance: PoseCovariance::zeros(),
             is_lost: false,
             last_drawn: None,
             drawn_spacing: Spacing::DRAWN,
@@ -162,7 +165,7 @@ impl Mapper {
             self.drawn.extend(self.steps.last().map(|&step| Drawn { step, points, at: None }));
         }
         if becomes_keyframe {
-            self.add_keyframe(sighting.scan, odom_from_laser, is_start);
+            self.add_keyframe(sighting, is_start);
         }
         becomes_keyframe
     }
@@ -182,9 +185,12 @@ impl Mapper {
         self.steps.push(Step { stamp, keyframe, odom_from_base, odom_from_laser, way });
     }
 
-    fn add_keyframe(&mut self, scan: Scan, odom_from_laser: Pose2, is_start: bool) {
-        let stamp = scan.stamp();
-        let view = self.matcher.view(scan);
+    fn add_keyframe(&mut self, sighting: Sighting, is_start: bool) {
+        let (odom_from_laser, covariance) = (sighting.odom_from_laser(), sighting.laser_covariance());
+        let known = self.known_by_odometry(&odom_from_laser, &covariance);
+        self.last_covariance = covariance;
+        let stamp = sighting.scan.stamp();
+        let view = self.matcher.view(sighting.scan);
         let last = self.keyframes.last().map(|last| (last.odom_from_laser.between(&odom_from_laser), last.run, last.way));
         let number = self.keyframes.len();
         let (motion, run, way) = match last {
@@ -202,7 +208,10 @@ impl Mapper {
             let covariance = if self.is_lost { uncertainty::diagonal(LOST_ERROR, LOST_TURN) } else { of_step(&motion) };
             self.graph.add_edge(Edge { from: number - 1, to: number, motion, covariance, kind: EdgeKind::Odometry });
             self.forget_moved(number);
-            self.add_sequence(number);
+            let is_matched = self.add_sequence(number);
+            if let Some(covariance) = known.filter(|_| !is_matched && !self.is_lost) {
+                self.graph.add_edge(Edge { from: number - 1, to: number, motion, covariance, kind: EdgeKind::Sequence });
+            }
         }
         self.is_lost = false;
         self.window = 0;
@@ -221,8 +230,17 @@ impl Mapper {
         }
     }
 
-    /// Edges to the keyframes before one.
-    fn add_sequence(&mut self, number: usize) {
+    /// What odometry knows of the motion from the last keyframe to here, along its axes: what the pose's covariance has grown by. Most of it is
+    /// by matches of the same scans, so that it counts only where keyframes do not match.
+    fn known_by_odometry(&self, odom_from_laser: &Pose2, covariance: &PoseCovariance) -> Option<PoseCovariance> {
+        let last = self.keyframes.last()?.odom_from_laser;
+        let carried = loops::carried(&self.last_covariance, &(odom_from_laser.translation() - last.translation()));
+        Some(uncertainty::turned(&uncertainty::positive(&(covariance - carried)), -last.theta) + edges::least())
+    }
+
+    /// Edges to the keyframes before one; answers whether it matches the one just before.
+    fn add_sequence(&mut self, number: usize) -> bool {
+        let mut is_matched = false;
         for earlier in (number.saturating_sub(SEQUENCE)..number).rev() {
             let (a, b) = (&self.keyframes[earlier], &self.keyframes[number]);
             if a.run != b.run {
@@ -236,8 +254,10 @@ impl Mapper {
             if let Some(made) = made.filter(holds) {
                 let (motion, covariance) = (made.motion, made.covariance);
                 self.graph.add_edge(Edge { from: earlier, to: number, motion, covariance, kind: EdgeKind::Sequence });
+                is_matched |= earlier + 1 == number;
             }
         }
+        is_matched
     }
 
     /// The motion from one keyframe to a later one of the same run, by odometry alone.

@@ -32,7 +32,7 @@ const MAX_HALVINGS: usize = 6;
 pub enum EdgeKind {
     /// The odometry's motion from one keyframe to the next.
     Odometry,
-    /// A match of keyframes that follow each other.
+    /// A match of keyframes that follow each other; where they do not match, what odometry knows.
     Sequence,
     /// A match of keyframes of two visits.
     Loop,

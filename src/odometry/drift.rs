@@ -3,7 +3,8 @@
 //! Step k of the path errs by `e_k` (x, y, turn) with covariance `C_k`. About its own end a step's error turns all that follows, so
 //! that the end of the path is off by `d = sum A_k e_k`, with `A_k` the lever from there to the end. Of all errors that explain `d`,
 //! the likeliest are `e_k = C_k A_k' (sum A_j C_j A_j')^-1 d`: least squares over the steps with the recognised place as constraint, by
-//! Lagrange multipliers. A path that has drifted in one bad corner is turned there, and not bent all along.
+//! Lagrange multipliers. A path that has drifted in one bad corner is turned there, and not bent all along. It is what a pose
+//! graph comes to for one path and one loop that is sure, in closed form.
 
 use nalgebra::{Matrix3, Vector3};
 

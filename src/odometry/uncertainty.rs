@@ -37,7 +37,7 @@ pub(super) fn before_way(covariance: &PoseCovariance, way: Point) -> PoseCovaria
 }
 
 /// A difference of covariances, without what is negative of it.
-pub(super) fn positive(difference: &PoseCovariance) -> PoseCovariance {
+pub fn positive(difference: &PoseCovariance) -> PoseCovariance {
     let mut parts = SymmetricEigen::new(*difference);
     parts.eigenvalues.apply(|part| *part = part.max(0.0));
     parts.recompose()
