@@ -1,5 +1,6 @@
 //! Runs a bag through the application that the node runs.
 
+mod ahead;
 pub mod failures;
 pub mod localize;
 pub mod map_picture;
@@ -14,6 +15,7 @@ pub mod truth;
 use std::fmt;
 use std::time::Duration;
 
+use self::ahead::Ahead;
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::Never;
 use crate::app::sensed::Sensed;
@@ -38,13 +40,20 @@ pub struct Topics {
     pub odometry: Option<String>,
     /// An IMU; `None`: do without.
     pub imu: Option<String>,
+    /// The odometry is read so far ahead of everything else. Zero: as it was recorded, which is what a robot has.
+    pub odometry_ahead: Duration,
 }
 
 impl Topics {
     /// The topics asked for. If none is named, odometry is optional.
     pub fn resolve(bag: &Bag, scan: &str, odometry: Option<&str>) -> Result<Self, BagError> {
         expect_scans(bag, scan)?;
-        Ok(Self { scan: scan.into(), odometry: optional::<Odometry>(bag, odometry, "/odom")?, imu: None })
+        Ok(Self {
+            scan: scan.into(),
+            odometry: optional::<Odometry>(bag, odometry, "/odom")?,
+            imu: None,
+            odometry_ahead: Duration::ZERO,
+        })
     }
 
     /// The same, and an IMU: the one asked for, or the usual one.
@@ -213,7 +222,8 @@ fn feed<L: Answering, E>(
 ) -> Result<ReplayLog, E> {
     let mut log = ReplayLog::default();
     let mut held: Option<HeldScan> = None;
-    for message in bag.messages(Some(&topics.all())) {
+    let messages = bag.messages(Some(&topics.all()));
+    for message in Ahead::new(messages, topics.odometry.as_deref(), topics.odometry_ahead) {
         on_message();
         let message = match message {
             Ok(message) => message,

@@ -57,6 +57,9 @@ pub(crate) struct Arguments {
     input: InputFlags,
 }
 
+/// Odometry that comes so much later than the scans it belongs to is used all the same: a little more than the lags looked for.
+const ODOMETRY_AHEAD: Duration = Duration::from_millis(500);
+
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum MaskSelf {
     /// Rays that do not change while the robot moves hit the robot: they are left out
@@ -135,7 +138,8 @@ impl Survey {
     /// Hands the scans of a bag to the mapper.
     fn add(&mut self, arguments: &Arguments, path: &Path, config: &Config, clock: &Arc<dyn Clock>) -> anyhow::Result<()> {
         let bag = Bag::open(path)?;
-        let topics = arguments.input.topics(&bag, config)?;
+        let mut topics = arguments.input.topics(&bag, config)?;
+        topics.odometry_ahead = ODOMETRY_AHEAD;
         let mut app = App::new(config, Arc::clone(clock))?;
         app.warm_up()?;
         let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
