@@ -12,9 +12,9 @@ use std::ops::Range;
 use super::edges::{EdgeMatcher, Match};
 use super::keyframe::Keyframe;
 use super::pose_graph::{Edge, EdgeKind, PoseGraph};
-use crate::geometry::{Point, Pose2, PoseCovariance};
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::{FirstGuess, SearchWindow};
-use crate::odometry::uncertainty::turned;
+use crate::odometry::uncertainty::{carried, turned};
 
 /// Keyframes must be so many apart to be of two visits.
 const APART: usize = 8;
@@ -361,7 +361,7 @@ impl<'a> Ways<'a> {
             }
             let Some(here) = known[keyframe].filter(|_| variance <= least[keyframe]) else { continue };
             for (next, step) in &self.steps[keyframe] {
-                let there = carried(&here, &(self.poses[*next].translation() - self.poses[keyframe].translation())) + step;
+                let there = carried(&here, self.poses[*next].translation() - self.poses[keyframe].translation()) + step;
                 let variance = there.m11 + there.m22 + LEVER * LEVER * there.m33;
                 if variance < least[*next] {
                     (least[*next], known[*next]) = (variance, Some(there));
@@ -381,16 +381,6 @@ fn joint(graph: &PoseGraph) -> BTreeMap<(usize, usize), PoseCovariance> {
         *known.entry((edge.from, edge.to)).or_default() += graph.weight(number) * graph.information(number);
     }
     known.into_iter().filter_map(|(pair, information)| Some((pair, information.try_inverse()?))).collect()
-}
-
-/// Covariance of a pose that is carried `way` farther, by a motion without error.
-pub(super) fn carried(covariance: &PoseCovariance, way: &Point) -> PoseCovariance {
-    let (x, y, turn) = (way.x, way.y, covariance.m33);
-    let (with_x, with_y) = (covariance.m13 - y * turn, covariance.m23 + x * turn);
-    let xx = covariance.m11 - y * (covariance.m13 + with_x);
-    let yy = covariance.m22 + x * (covariance.m23 + with_y);
-    let xy = covariance.m12 + x * covariance.m13 - y * with_y;
-    PoseCovariance::new(xx, xy, with_x, xy, yy, with_y, with_x, with_y, turn)
 }
 
 /// Covariance of the way back, along the axes of the end of `motion`.
@@ -422,7 +412,7 @@ mod tests {
             (turned(&diagonal(0.1, 0.05), 0.3), PoseCovariance::new(0.04, 0.01, 0.0, 0.01, 0.02, 0.001, 0.0, 0.001, 0.003));
         let expected = compound(&a, &of_a, &b, &of_b);
         let way = (a * b).translation() - a.translation();
-        assert!(near(&(carried(&of_a, &way) + turned(&of_b, a.theta)), &expected));
+        assert!(near(&(carried(&of_a, way) + turned(&of_b, a.theta)), &expected));
         assert!(near(&reversed(&b.inverse(), &reversed(&b, &of_b)), &of_b), "there and back");
     }
 

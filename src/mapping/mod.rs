@@ -234,7 +234,7 @@ impl Mapper {
     /// by matches of the same scans, so that it counts only where keyframes do not match.
     fn known_by_odometry(&self, odom_from_laser: &Pose2, covariance: &PoseCovariance) -> Option<PoseCovariance> {
         let last = self.keyframes.last()?.odom_from_laser;
-        let carried = loops::carried(&self.last_covariance, &(odom_from_laser.translation() - last.translation()));
+        let carried = uncertainty::carried(&self.last_covariance, odom_from_laser.translation() - last.translation());
         Some(uncertainty::turned(&uncertainty::positive(&(covariance - carried)), -last.theta) + edges::least())
     }
 

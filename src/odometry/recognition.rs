@@ -60,7 +60,7 @@ impl LaserOdometry {
             last.covariance = earlier.covariance;
             let way = odom_from_map.transform().rotate(last.map_from_base.translation());
             let drift = in_odom - uncertainty::turned(&last.covariance, odom_from_map.theta);
-            self.drift_covariance = uncertainty::before_way(&uncertainty::positive(&drift), way);
+            self.drift_covariance = uncertainty::carried(&uncertainty::positive(&drift), -way);
             last.map_from_base = *correction * last.map_from_base;
             last.map_from_laser = *correction * last.map_from_laser;
         }

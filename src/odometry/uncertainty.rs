@@ -30,10 +30,14 @@ pub(super) fn way_by_heading(way: Point) -> Matrix3<f64> {
     by_pose
 }
 
-/// What the covariance of a pose is due to at the start of a way, `way` long, of which nothing is uncertain, along the same axes.
-pub(super) fn before_way(covariance: &PoseCovariance, way: Point) -> PoseCovariance {
-    let back = way_by_heading(-way);
-    back * covariance * back.transpose()
+/// Covariance of a pose that is carried `way` farther, by a motion without error; all along the same axes.
+pub fn carried(covariance: &PoseCovariance, way: Point) -> PoseCovariance {
+    let (x, y, turn) = (way.x, way.y, covariance.m33);
+    let (with_x, with_y) = (covariance.m13 - y * turn, covariance.m23 + x * turn);
+    let xx = covariance.m11 - y * (covariance.m13 + with_x);
+    let yy = covariance.m22 + x * (covariance.m23 + with_y);
+    let xy = covariance.m12 + x * covariance.m13 - y * with_y;
+    PoseCovariance::new(xx, xy, with_x, xy, yy, with_y, with_x, with_y, turn)
 }
 
 /// A difference of covariances, without what is negative of it.
@@ -91,7 +95,7 @@ mod tests {
     fn what_a_way_adds_is_taken_back() {
         let (start, way) = (diagonal(0.1, 0.02) + Matrix3::repeat(1e-4), Pose2::new(3.0, -2.0, 0.7));
         let end = compound(&Pose2::IDENTITY, &start, &way, &PoseCovariance::zeros());
-        assert!((before_way(&end, way.translation()) - start).norm() < 1e-12);
+        assert!((carried(&end, -way.translation()) - start).norm() < 1e-12);
         assert!((positive(&end) - end).norm() < 1e-12 && positive(&-end).norm() < 1e-12);
     }
 

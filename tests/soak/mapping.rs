@@ -96,21 +96,18 @@ fn worst(world: fn() -> OccupancyGrid, seeds: u32, duration: f64) -> (f64, f64) 
     errors.fold((0.0, 0.0), |worst, error| (worst.0.max(error.0), worst.1.max(error.1)))
 }
 
-/// A wrong loop bends the whole map; of 200 drives the worst had .138 m, ...
-const BENT: f64 = 0.165;
-/// ... and where niche is like niche, its worst keyframe by itself .378 m.
-const MISPLACED: f64 = 0.45;
-
 #[test]
 fn corridors_that_look_alike_are_not_taken_for_each_other() {
     let (worst, farthest) = worst(alike_corridors, 8, 90.0);
-    assert!(worst < BENT && farthest < MISPLACED, "{worst}, {farthest} m");
+    // A wrong loop bends the whole map; a keyframe by itself may be placed wrong where niche is like niche: .094 and .324 m in 100 drives.
+    assert!(worst < 0.113 && farthest < 0.39, "{worst}, {farthest} m");
 }
 
 #[test]
 fn rooms_that_look_alike_are_not_taken_for_each_other() {
     let (worst, farthest) = worst(alike_rooms, 4, 180.0);
-    assert!(worst < BENT && farthest < MISPLACED, "{worst}, {farthest} m");
+    // .138 and .378 m in 100 drives.
+    assert!(worst < 0.165 && farthest < 0.45, "{worst}, {farthest} m");
 }
 
 #[test]
