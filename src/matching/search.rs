@@ -1,7 +1,7 @@
 //! Other starts than the first guess, for when the scans do not agree at what it led to.
 //!
-//! All starts of the window are scored with few rays; the best few are refined. The one that most rays agree with is refined with all
-//! of them, and believed when clearly more agree than before.
+//! All starts of the window are scored with few rays; the best few, none beside another, are refined. The one that most rays agree with is
+//! refined with all of them, and believed when clearly more agree than before.
 
 use super::pairing::{Agreement, Pairing};
 use super::{FirstGuess, SearchWindow, StopReason};
@@ -13,8 +13,10 @@ const STEP: f64 = 0.15;
 const TURN_STEP: f64 = 0.0873;
 /// Starts that are scored in one go.
 const SCORED_AT_ONCE: usize = 64;
+/// Starts nearer to one another than so many steps lead to the same pose: the diagonal of a square of steps, and some.
+const BESIDE: f64 = 1.6;
 /// Starts that are refined.
-const REFINED: usize = 8;
+const REFINED: usize = 3;
 /// Part of the rays that must agree more than before with a start, so that it is refined with all,
 const PROMISING: f64 = 0.03;
 /// and then, so that it is believed: for each standard deviation that it is away from the prior, once at least,
@@ -38,6 +40,8 @@ pub(super) struct Search {
     starts: Vec<Pose2>,
     scores: Vec<(u32, usize)>,
     is_scored: bool,
+    /// Those to be refined.
+    promising: Vec<Pose2>,
     best: Option<(Pose2, Agreement)>,
 }
 
@@ -70,19 +74,24 @@ impl Search {
         true
     }
 
+    /// Of starts beside one another only the best one promises anything.
     fn keep_best(&mut self) {
         self.scores.sort_unstable_by(|a, b| b.cmp(a));
-        self.scores.truncate(REFINED);
-        self.scores.sort_unstable_by_key(|&(_, i)| i);
-        for (place, &(_, i)) in self.scores.iter().enumerate() {
-            self.starts.swap(place, i);
+        self.promising.clear();
+        for &(_, i) in &self.scores {
+            let start = self.starts[i];
+            if !self.promising.iter().any(|better| is_beside(better, &start)) {
+                self.promising.push(start);
+            }
+            if self.promising.len() == REFINED {
+                break;
+            }
         }
-        self.starts.truncate(self.scores.len());
     }
 
     /// The next start to be refined.
     pub(super) fn next_start(&mut self) -> Option<Pose2> {
-        self.starts.pop()
+        self.promising.pop()
     }
 
     /// What the refinement of a start has come to.
@@ -105,6 +114,10 @@ pub(super) fn is_better(agreement: Agreement, before: Agreement, rays: usize, de
 
 fn exceeds(agreement: Agreement, before: Agreement, margin: f64, rays: usize) -> bool {
     f64::from(agreement.agreeing) > f64::from(before.agreeing) + margin * rays as f64
+}
+
+fn is_beside(one: &Pose2, other: &Pose2) -> bool {
+    (one.x - other.x).hypot(one.y - other.y) < BESIDE * STEP && (one.theta - other.theta).abs() < BESIDE * TURN_STEP
 }
 
 /// From `-limit` to `limit`, evenly, by `step` at most.
