@@ -363,7 +363,7 @@ impl Refinement<'_> {
         }
         if let Some(start) = m.search.next_start() {
             let (pose, agreement) = m.refine_start(start);
-            m.search.consider(pose, agreement);
+            m.search.consider(pose, agreement, &tracked);
             return None;
         }
         m.pairing.pair(&tracked.pose, m.solver.metric());
