@@ -12,8 +12,8 @@ use std::path::Path;
 use std::process::{Command, ExitCode, Output};
 use std::{env, fs};
 
-use anytime_scan_matcher::matching::correspondence::Correspondence;
-use anytime_scan_matcher::matching::rejection::RejectionKnobs;
+use anytime_scan_matcher::matching::classic::correspondence::Correspondence;
+use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
 use fearless_simd::Level;
 use walk::{LASERS, Laser, Pair, match_pair, walk};

@@ -8,8 +8,8 @@ mod walk;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use anytime_scan_matcher::matching::correspondence::Correspondence;
-use anytime_scan_matcher::matching::rejection::RejectionKnobs;
+use anytime_scan_matcher::matching::classic::correspondence::Correspondence;
+use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
 use anytime_scan_matcher::quantile::quantile;
 use walk::{LASERS, Laser, match_pair, walk};

@@ -6,8 +6,8 @@ mod walk;
 use std::hint::black_box;
 
 use anytime_scan_matcher::geometry::{Point, Pose2};
-use anytime_scan_matcher::matching::correspondence::Correspondence;
-use anytime_scan_matcher::matching::rejection::RejectionKnobs;
+use anytime_scan_matcher::matching::classic::correspondence::Correspondence;
+use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::solver::{QuadraticForm, SolverKind};
 use anytime_scan_matcher::matching::{FirstGuess, Matcher, MatchingKnobs, SearchWindow};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};

@@ -1,7 +1,7 @@
 //! Matches two simulated scans: `cargo run --release --example match_two_scans --no-default-features`.
 #![allow(clippy::print_stdout)] // an example speaks to its reader
 
-use anytime_scan_matcher::matching::rejection::RejectionKnobs;
+use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
 use anytime_scan_matcher::simulation::pairs::Pairs;
 use anytime_scan_matcher::simulation::random_world::RandomWorld;

@@ -4,8 +4,8 @@
 #![allow(clippy::print_stdout)] // an example speaks to its reader
 
 use anytime_scan_matcher::geometry::Point;
-use anytime_scan_matcher::matching::correspondence::{Correspondence, CorrespondenceSearch, Nearest};
-use anytime_scan_matcher::matching::reference::Reference;
+use anytime_scan_matcher::matching::classic::correspondence::{Correspondence, CorrespondenceSearch, Nearest};
+use anytime_scan_matcher::matching::classic::reference::Reference;
 use anytime_scan_matcher::simulation::pairs::Pairs;
 use anytime_scan_matcher::simulation::random_world::RandomWorld;
 

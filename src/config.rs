@@ -17,7 +17,7 @@ use crate::localization::motion::MotionKnobs;
 use crate::localization::sensor::SensorKnobs;
 use crate::mapping::MappingKnobs;
 use crate::matching::MatchingKnobs;
-use crate::matching::rejection::RejectionKnobs;
+use crate::matching::classic::rejection::RejectionKnobs;
 use crate::odometry::OdometryKnobs;
 use crate::scan::ScanKnobs;
 use crate::transforms::frame_name;
@@ -213,12 +213,12 @@ impl Config {
                  and point_to_line solves for them; for points with points set matching.correspondence to jump_table"
             )
         });
-        let is_trimmed = correspondence.search().is_some();
-        let idle = |path: &String| path.starts_with("rejection.") && !is_trimmed;
-        let idle = self.changes().into_iter().map(|(path, _)| path).filter(idle).map(|path| {
+        let is_classic = correspondence.search().is_some();
+        let of_classic = |path: &String| path.starts_with("rejection.") || path == "matching.max_correspondence_distance";
+        let idle = self.changes().into_iter().map(|(path, _)| path).filter(|path| !is_classic && of_classic(path)).map(|path| {
             format!(
-                "{path} changes nothing with matching.correspondence {searched}, which weighs its pairs and leaves none out; for trimming \
-                 set matching.correspondence to jump_table"
+                "{path} changes nothing with matching.correspondence {searched}, which weighs its pairs and leaves none out; for classic \
+                 PL-ICP set matching.correspondence to jump_table"
             )
         });
         unserved.into_iter().chain(idle).collect()
@@ -333,7 +333,7 @@ fn parse_yaml(text: &str, source_name: &str) -> Result<Value, ConfigError> {
 mod tests {
     use super::*;
     use crate::geometry::Pose2;
-    use crate::matching::correspondence::Correspondence;
+    use crate::matching::classic::correspondence::Correspondence;
     use crate::matching::solver::SolverKind;
 
     #[test]

@@ -1,7 +1,7 @@
 //! Anytime 2D laser scan matching for ROS 1: a pose within the time you allow, and how good it is.
 //!
 //! ```
-//! use anytime_scan_matcher::matching::rejection::RejectionKnobs;
+//! use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 //! use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
 //! use anytime_scan_matcher::simulation::pairs::Pairs;
 //! use anytime_scan_matcher::simulation::random_world::RandomWorld;
@@ -26,7 +26,7 @@
 //! ```text
 //!  LaserScan ──► Scan ──► prediction ──► pairs with the ──► quadratic ──► solve ──► pose ──► Estimate ──► messages, files
 //!  (messages)   (scan)   (odometry::    views around       form          (matching::         (app)       (ros, replay)
-//!                         wheel)         (matching::pairing)              solver)
+//!                         wheel)         (surfaces or classic)            solver)
 //!                                       └────────── Refinement::refine, until the contract ends (anytime::drive) ─────────┘
 //! ```
 //!

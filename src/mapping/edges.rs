@@ -8,7 +8,7 @@ use std::sync::Arc;
 use nalgebra::Matrix3;
 
 use crate::geometry::{Pose2, PoseCovariance};
-use crate::matching::rejection::RejectionKnobs;
+use crate::matching::classic::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, Matcher, MatchingKnobs, PlacedView, View};
 use crate::odometry::uncertainty;
 use crate::scan::Scan;

@@ -21,7 +21,7 @@ use super::trajectory::Step;
 use super::{Drawn, Edge, EdgeKind, Keyframe, Mapper};
 use crate::geometry::Pose2;
 use crate::matching::MatchingKnobs;
-use crate::matching::rejection::RejectionKnobs;
+use crate::matching::classic::rejection::RejectionKnobs;
 use crate::scan::{BeamGeometry, Scan};
 use crate::time::Stamp;
 

@@ -12,7 +12,7 @@ use super::loops::{WINDOWS, Ways};
 use super::{Drawn, FINALLY, Mapper, ROUGHLY, SelfHits};
 use crate::geometry::{Point, Pose2, wrap_angle};
 use crate::matching::MatchingKnobs;
-use crate::matching::rejection::RejectionKnobs;
+use crate::matching::classic::rejection::RejectionKnobs;
 use crate::scan::{Mask, Scan, ScanKnobs, Sector, Sectors};
 
 /// After this way, m, the newest keyframes look for places of earlier: half of what these look over at once.

@@ -34,7 +34,7 @@ use std::ops::Range;
 
 use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::{Pose2, PoseCovariance};
-use crate::matching::rejection::RejectionKnobs;
+use crate::matching::classic::rejection::RejectionKnobs;
 use crate::matching::{MatchingKnobs, Prior, View};
 use crate::odometry::uncertainty;
 use crate::scan::Scan;

@@ -48,7 +48,7 @@ mod tests {
     use super::*;
     use crate::mapping::edges::EdgeMatcher;
     use crate::matching::MatchingKnobs;
-    use crate::matching::rejection::RejectionKnobs;
+    use crate::matching::classic::rejection::RejectionKnobs;
     use crate::scan::{BeamGeometry, Scan};
 
     #[test]

@@ -5,18 +5,15 @@
 //! best pose so far at every moment: that makes it an anytime algorithm. No clock is read here, nothing allocates once the buffers have
 //! grown to the size of the scans, nothing prints and nothing panics.
 
-mod chords;
-pub mod correspondence;
-mod covariance;
-mod line_fit;
+pub mod classic;
 mod pairing;
 mod ray_order;
-pub mod reference;
-pub mod rejection;
 mod search;
 pub mod solver;
 mod surface;
+mod surfaces;
 mod symmetric_eigen;
+mod uncertainty;
 mod view;
 
 #[cfg(test)]
@@ -29,14 +26,16 @@ use nalgebra::Vector3;
 
 use crate::geometry::{Point, Pose2, PoseCovariance, wrap_angle};
 use crate::scan::Scan;
-use correspondence::Correspondence;
-pub use covariance::Uncertainty;
+use classic::ClosestPoint;
+use classic::correspondence::Correspondence;
+use classic::rejection::RejectionKnobs;
 pub use pairing::PlacedView;
-use pairing::{Agreement, ClosestPoint, Pairing, Pairs, Projective};
+use pairing::{Agreement, Pairing, Pairs};
 use ray_order::RayOrder;
-use rejection::RejectionKnobs;
 use search::{Search, Tracked};
 use solver::{QuadraticForm, Solver, SolverKind};
+use surfaces::Projective;
+pub use uncertainty::Uncertainty;
 pub use view::View;
 
 /// Pairs without which no pose is determined.
@@ -363,7 +362,7 @@ impl Refinement<'_> {
         }
         if let Some(start) = m.search.next_start() {
             let (pose, agreement) = m.refine_start(start);
-            m.search.consider(pose, agreement, &tracked);
+            m.search.consider(pose, agreement);
             return None;
         }
         m.pairing.pair(&tracked.pose, m.solver.metric());

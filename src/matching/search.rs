@@ -15,15 +15,12 @@ const TURN_STEP: f64 = 0.0873;
 const SCORED_AT_ONCE: usize = 64;
 /// Starts nearer to one another than so many steps lead to the same pose: the diagonal of a square of steps, and some.
 const BESIDE: f64 = 1.6;
-/// Poses nearer to one another than so many steps are the same.
-const SAME: f64 = 1.0 / 3.0;
 /// Starts that are refined.
 const REFINED: usize = 3;
-/// Part of the rays that must agree more than before with a start, so that it is refined with all,
-const PROMISING: f64 = 0.03;
-/// and then, so that it is believed: for each standard deviation that it is away from the prior, once at least,
+/// Part of the rays that must agree more than before with a start, so that it is refined with all, and then, so that it is believed: for
+/// each standard deviation that it is away from the prior, once at least, ...
 const BELIEVED: f64 = 0.05;
-/// and so many times at most.
+/// ... and so many times at most.
 const INCREDIBLE: f64 = 3.0;
 
 /// Where tracking from the first guess had come to.
@@ -82,7 +79,7 @@ impl Search {
         self.promising.clear();
         for &(_, i) in &self.scores {
             let start = self.starts[i];
-            if !self.promising.iter().any(|better| are_within(BESIDE, better, &start)) {
+            if !self.promising.iter().any(|better| is_beside(better, &start)) {
                 self.promising.push(start);
             }
             if self.promising.len() == REFINED {
@@ -96,16 +93,16 @@ impl Search {
         self.promising.pop()
     }
 
-    /// What the refinement of a start has come to. Where that is what tracking had come to, it is nothing new.
-    pub(super) fn consider(&mut self, pose: Pose2, agreement: Agreement, tracked: &Tracked) {
-        if !are_within(SAME, &pose, &tracked.pose) && self.best.is_none_or(|(_, best)| agreement.agreeing > best.agreeing) {
+    /// What the refinement of a start has come to.
+    pub(super) fn consider(&mut self, pose: Pose2, agreement: Agreement) {
+        if self.best.is_none_or(|(_, best)| agreement.agreeing > best.agreeing) {
             self.best = Some((pose, agreement));
         }
     }
 
     /// The pose found, if more of so many rays agree with it than did `before`.
     pub(super) fn found(&self, before: Agreement, rays: usize) -> Option<Pose2> {
-        self.best.filter(|(_, agreement)| exceeds(*agreement, before, PROMISING, rays)).map(|(pose, _)| pose)
+        self.best.filter(|(_, agreement)| exceeds(*agreement, before, BELIEVED, rays)).map(|(pose, _)| pose)
     }
 }
 
@@ -118,9 +115,9 @@ fn exceeds(agreement: Agreement, before: Agreement, margin: f64, rays: usize) ->
     f64::from(agreement.agreeing) > f64::from(before.agreeing) + margin * rays as f64
 }
 
-fn are_within(steps: f64, one: &Pose2, other: &Pose2) -> bool {
+fn is_beside(one: &Pose2, other: &Pose2) -> bool {
     let motion = one.between(other);
-    motion.distance() < steps * STEP && motion.theta.abs() < steps * TURN_STEP
+    motion.distance() < BESIDE * STEP && motion.theta.abs() < BESIDE * TURN_STEP
 }
 
 /// From `-limit` to `limit`, evenly, by `step` at most.

@@ -191,7 +191,8 @@ mod tests {
 
     use super::*;
     use crate::geometry::Twist2;
-    use crate::matching::line_fit::LineFitter;
+    use crate::matching::classic::rejection::RejectionKnobs;
+    use crate::matching::{Matcher, MatchingKnobs};
     use crate::scan::BeamGeometry;
     use crate::time::Stamp;
 
@@ -216,6 +217,10 @@ mod tests {
         }
     }
 
+    fn with_surfaces(scan: Scan) -> View {
+        View::clone(&Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default()).view(scan))
+    }
+
     /// A wall 4 m ahead, and someone before it at 2 m from -0.1 to 0 rad, if so; taken while the laser turned by `turn`, which has been
     /// undone.
     fn wall(is_someone_there: bool, turn: f64) -> View {
@@ -227,9 +232,7 @@ mod tests {
         let ranges: Vec<f64> = (0..beams.len()).map(range).collect();
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), ranges).unwrap();
         let scan = if turn == 0.0 { scan } else { scan.undistorted(&Twist2 { omega: turn, ..Twist2::default() }, 0.0, 1.0) };
-        let mut surfaces = Vec::new();
-        LineFitter::default().fit(&scan, 0.01, &mut surfaces);
-        View::new(scan, surfaces)
+        with_surfaces(scan)
     }
 
     #[test]
@@ -263,9 +266,7 @@ mod tests {
     fn out_of_sight_is_the_last_surface() {
         let beams = BeamGeometry::new(-1.0, 0.01, 201);
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), vec![2.0; 201]).unwrap();
-        let mut surfaces = Vec::new();
-        LineFitter::default().fit(&scan, 0.01, &mut surfaces);
-        let view = View::new(scan, surfaces);
+        let view = with_surfaces(scan);
         let out_of_sight = Point::new(-1.0, 0.1);
         assert!(view.surfaces()[view.bearings().beam(&out_of_sight)].is_none());
         assert!(view.surfaces()[beams_at(&view, &out_of_sight)[0] as usize].is_none());

@@ -272,7 +272,7 @@ fn difference(map_from_laser: &Pose2, keyframe: &Keyframe) -> f64 {
 mod tests {
     use super::*;
     use crate::geometry::PoseCovariance;
-    use crate::matching::rejection::RejectionKnobs;
+    use crate::matching::classic::rejection::RejectionKnobs;
     use crate::matching::{Matcher, MatchingKnobs};
     use crate::scan::{BeamGeometry, Scan};
     use crate::time::Stamp;

@@ -38,7 +38,7 @@ use crate::anytime::interrupt::Never;
 use crate::anytime::{Driver, ErrorEstimate, Task, estimated_error};
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::knobs::Seconds;
-use crate::matching::rejection::RejectionKnobs;
+use crate::matching::classic::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
 use crate::scan::Scan;
 use crate::time::{Continuity, Stamp};
@@ -292,7 +292,7 @@ impl LaserOdometry {
     ///
     /// ```
     /// use anytime_scan_matcher::geometry::Pose2;
-    /// use anytime_scan_matcher::matching::{MatchingKnobs, rejection::RejectionKnobs};
+    /// use anytime_scan_matcher::matching::{MatchingKnobs, classic::rejection::RejectionKnobs};
     /// use anytime_scan_matcher::odometry::{LaserOdometry, OdometryKnobs};
     /// use anytime_scan_matcher::scan::{BeamGeometry, Scan};
     /// use anytime_scan_matcher::time::Stamp;

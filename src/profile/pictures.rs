@@ -8,7 +8,7 @@ use super::summary::CaseSummary;
 use super::variant::Variant;
 use crate::evaluation::plot::{Colour, Dash, Look, Mark, Panel, Path, Scale, Series, curves, positions, top_view, true_path};
 use crate::geometry::{Point, Pose2, wrap_angle};
-use crate::matching::correspondence::Correspondence;
+use crate::matching::classic::correspondence::Correspondence;
 use crate::matching::solver::SolverKind;
 use crate::quantile;
 

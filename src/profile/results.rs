@@ -11,7 +11,7 @@ use super::variant::Variant;
 use crate::anytime::mode::Ranges;
 use crate::evaluation::trajectory::Trajectory;
 use crate::io::profile_file::{Budget, ExpectedError, Profile, Provenance, VariantProfile};
-use crate::matching::correspondence::Correspondence;
+use crate::matching::classic::correspondence::Correspondence;
 use crate::matching::solver::SolverKind;
 
 /// What the errors of a study are, for those who read its files.

@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use crate::config::Config;
 use crate::knobs::{KnobValue, nearest_name};
-use crate::matching::correspondence::Correspondence;
+use crate::matching::classic::correspondence::Correspondence;
 use crate::matching::solver::SolverKind;
 
 /// The name of the particle filter.

@@ -4,8 +4,8 @@ use std::f64::consts::{PI, TAU};
 
 use crate::common::{Laser, uniform};
 use anytime_scan_matcher::geometry::{Point, Pose2};
-use anytime_scan_matcher::matching::correspondence::{Correspondence, Nearest};
-use anytime_scan_matcher::matching::reference::Reference;
+use anytime_scan_matcher::matching::classic::correspondence::{Correspondence, Nearest};
+use anytime_scan_matcher::matching::classic::reference::Reference;
 use anytime_scan_matcher::scan::Scan;
 use anytime_scan_matcher::time::Stamp;
 use rand::{RngExt, SeedableRng};

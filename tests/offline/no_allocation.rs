@@ -2,8 +2,8 @@
 
 use crate::common::Laser;
 use anytime_scan_matcher::geometry::Pose2;
-use anytime_scan_matcher::matching::correspondence::Correspondence;
-use anytime_scan_matcher::matching::rejection::RejectionKnobs;
+use anytime_scan_matcher::matching::classic::correspondence::Correspondence;
+use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::solver::SolverKind;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs, PlacedView};
 use rand::SeedableRng;

@@ -2,7 +2,7 @@
 //! `cargo test --test soak accuracy -- --nocapture --test-threads 1` prints the tables.
 
 use anytime_scan_matcher::geometry::{Point, Pose2, PoseCovariance, wrap_angle};
-use anytime_scan_matcher::matching::rejection::RejectionKnobs;
+use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
 use anytime_scan_matcher::simulation::information::bound_of_pair;
 use anytime_scan_matcher::simulation::pairs::{Pairs, ScanPair};

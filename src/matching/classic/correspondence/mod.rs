@@ -9,7 +9,7 @@ mod kd_tree;
 mod naive;
 
 use crate::geometry::Point;
-use crate::matching::reference::{NO_RAY, Reference};
+use crate::matching::classic::reference::{NO_RAY, Reference};
 use crate::matching::solver::SolverKind;
 
 /// The nearest reference ray of one sensed point.

@@ -12,23 +12,36 @@
 //! What moves is where one view saw it, and not where the others did: a ray that lies on the surface in some of the views that have one
 //! for it, and not in the rest, weighs less.
 
+mod chords;
+mod line_fit;
+mod onto;
+mod range_noise;
+mod rays;
+mod sums;
+mod verdict;
+
+#[cfg(test)]
+mod specification;
+
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 use nalgebra::{Matrix2, Matrix3, Vector3};
 
-use self::rays::{AllRays, Block, Rays};
-use super::range_noise::RangeNoise;
-use super::verdict::Verdict;
-use super::{Agreement, Metric, Pairing, Pairs, PlacedView};
+use super::pairing::{Agreement, Pairing, Pairs, PlacedView};
+use super::ray_order::RayOrder;
+use super::solver::{Metric, QuadraticForm};
+use super::surface::LANES;
+use super::symmetric_eigen::SymmetricEigen;
+use super::uncertainty::{Uncertainty, condition_number};
+use super::view::View;
+use super::{FirstGuess, Prior};
 use crate::geometry::{Point, Pose2};
-use crate::matching::covariance::condition_number;
-use crate::matching::line_fit::LineFitter;
-use crate::matching::ray_order::RayOrder;
-use crate::matching::solver::QuadraticForm;
-use crate::matching::surface::{LANES, Surface, Surfaces};
-use crate::matching::symmetric_eigen::SymmetricEigen;
-use crate::matching::view::{Bearings, View};
-use crate::matching::{FirstGuess, Prior, Uncertainty};
 use crate::scan::Scan;
+use line_fit::LineFitter;
+use onto::{Moved, Onto};
+use range_noise::RangeNoise;
+use rays::{AllRays, Rays};
+use sums::{Sum, Sums};
+use verdict::Verdict;
 
 /// An error of so many standard deviations has a quarter of its weight.
 const KERNEL_SIGMAS: f64 = 3.0;
@@ -48,8 +61,6 @@ const LEAST_FLOOR: f64 = 0.15;
 const DEPENDENCE: f64 = 3.0;
 /// A ray agrees with a surface that it ends this near to, m.
 const AGREEMENT: f32 = 0.07;
-/// The same for poses that are no more than starts, m.
-const ROUGH_AGREEMENT: f32 = 0.12;
 /// No laser and no wall is better than this, m, whatever the pairs show: standard deviation of a range.
 const LEAST_NOISE: f64 = 0.001;
 /// Nor is any wall straighter than this, rad: a centimetre in a metre. What pairs know by less is not claimed.
@@ -57,178 +68,7 @@ const LEAST_TURN: f64 = 0.01;
 /// A direction in which the pairs know so many times what errors of the surfaces' directions feign is not seen at all.
 const FEIGNED: f64 = 4.0;
 
-/// Numbers of the rays that are handled at a time.
-type Lanes = [f32; LANES];
-
-/// The sensed scan.
-#[derive(Debug, Default)]
-struct Sensed {
-    all: AllRays,
-    /// The rays that take part.
-    chosen: Rays,
-    /// One by the squared ranges of those, 1/m^2; 0 past the last ray.
-    inverse_square: Vec<Lanes>,
-    mean_range: f64,
-}
-
-impl Sensed {
-    #[inline(always)]
-    fn choose<S: Simd>(&mut self, simd: S, order: RayOrder) {
-        self.chosen.choose(&self.all.rays, order);
-        let len = self.chosen.len;
-        self.inverse_square.resize(len.div_ceil(LANES), [0.0; LANES]);
-        let mut ranges = f32x8::splat(simd, 0.0);
-        for (Block { point: [x, y], .. }, inverse_square) in self.chosen.blocks().zip(&mut self.inverse_square) {
-            let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
-            let square = x.mul_add(x, y * y);
-            ranges += square.sqrt();
-            (1.0 / square).store_slice(inverse_square);
-        }
-        self.inverse_square.as_flattened_mut()[len..].fill(0.0);
-        self.mean_range = f64::from(ranges.reduce_sum()) / len.max(1) as f64;
-    }
-
-    /// Rays that end near a surface, roughly.
-    #[inline(always)]
-    fn score<S: Simd>(&self, simd: S, onto: &Onto) -> u32 {
-        let mut agreeing = 0;
-        for (Block { point: [x, y], .. }, inverse_square) in self.chosen.blocks().zip(&self.inverse_square) {
-            let moved = onto.pair(simd, x, y, &onto.beams(simd, x, y));
-            let agrees = moved.error.abs().simd_lt(ROUGH_AGREEMENT) & moved.partners.is_some(simd);
-            let is_ray = f32x8::from_slice(simd, inverse_square).simd_gt(0.0);
-            agreeing += (agrees & is_ray).to_bitmask().count_ones();
-        }
-        agreeing
-    }
-}
-
-/// A block of rays moved to a pose.
-struct Moved<S: Simd> {
-    /// In the sensed scan's frame, m.
-    point: [f32x8<S>; 2],
-    /// Turned into the view's frame, but not shifted.
-    turned: [f32x8<S>; 2],
-    partners: Surfaces<S>,
-    /// Signed distance from the partners, m.
-    error: f32x8<S>,
-}
-
-/// A pose that moves many points, and what it moves them to.
-struct Onto<'a> {
-    surfaces: &'a [Surface],
-    bearings: Bearings,
-    cos: f32,
-    sin: f32,
-    x: f32,
-    y: f32,
-}
-
-impl<'a> Onto<'a> {
-    #[allow(clippy::cast_possible_truncation)] // to single precision
-    fn new(view: &'a View, view_from_sensed: &Pose2) -> Self {
-        let (sin, cos) = view_from_sensed.theta.sin_cos();
-        let [cos, sin, x, y] = [cos, sin, view_from_sensed.x, view_from_sensed.y].map(|v| v as f32);
-        Self { surfaces: view.surfaces(), bearings: view.bearings(), cos, sin, x, y }
-    }
-
-    /// Which beams look where the rays of a block end.
-    #[inline(always)]
-    fn beams<S: Simd>(&self, simd: S, x: &Lanes, y: &Lanes) -> [u32; LANES] {
-        let [x, y] = self.turn(f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
-        self.bearings.beams(x + self.x, y + self.y)
-    }
-
-    #[inline(always)]
-    fn turn<S: Simd>(&self, x: f32x8<S>, y: f32x8<S>) -> [f32x8<S>; 2] {
-        [x * self.cos - y * self.sin, x * self.sin + y * self.cos]
-    }
-
-    /// The rays of a block, each with what its beam met.
-    #[inline(always)]
-    fn pair<S: Simd>(&self, simd: S, x: &Lanes, y: &Lanes, beams: &[u32; LANES]) -> Moved<S> {
-        let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
-        let turned = self.turn(x, y);
-        let (moved_x, moved_y) = (turned[0] + self.x, turned[1] + self.y);
-        let partners = Surfaces::gather(simd, self.surfaces, beams);
-        let [nx, ny] = partners.normal;
-        let error = nx.mul_add(moved_x, ny.mul_sub(moved_y, partners.offset));
-        Moved { point: [x, y], turned, partners, error }
-    }
-}
-
-/// What is summed over the pairs, by name of the place in [`Sums::of`].
-#[derive(Clone, Copy)]
-enum Sum {
-    /// `w a a'`: upper triangle, row by row, ten of them.
-    Matrix = 0,
-    /// `w a e`, four of them.
-    Gradient = 10,
-    /// `w e^2`, m^2.
-    Squares = 14,
-    /// `w v`: what `w e^2` would be were the noise 1 m.
-    Expected,
-    /// `w` by the variance of the surface's direction.
-    Feigned,
-    /// `w`.
-    Weights,
-    /// `w e^2 / v - w`, by how much the floor is too low, weighed.
-    Excess,
-    /// The weights of that.
-    ExcessWeights,
-    /// Absolute errors of the inliers, m.
-    Residuals,
-    /// Inliers.
-    Inliers,
-    /// Pairs.
-    Pairs,
-    /// Number of sums.
-    Count,
-}
-
-/// Sums over the pairs of one view, in its frame, by place.
-struct Sums([f64; Sum::Count as usize]);
-
-impl Sums {
-    fn of(&self, sum: Sum) -> f64 {
-        self.0[sum as usize]
-    }
-
-    fn form(&self, view_from_sensed: &Pose2) -> QuadraticForm {
-        let matrix = std::array::from_fn(|i| self.0[Sum::Matrix as usize + i]);
-        let gradient = std::array::from_fn(|i| self.0[Sum::Gradient as usize + i]);
-        QuadraticForm::about(view_from_sensed, &matrix, &gradient, self.of(Sum::Squares))
-    }
-}
-
-/// The pairs of all views together.
-#[derive(Clone, Copy, Debug, Default)]
-struct Totals {
-    squares: f64,
-    expected: f64,
-    feigned: f64,
-    weights: f64,
-    excess: f64,
-    excess_weights: f64,
-    residuals: f64,
-    inliers: f64,
-    pairs: f64,
-}
-
-impl Totals {
-    fn add(&mut self, sums: &Sums) {
-        self.squares += sums.of(Sum::Squares);
-        self.expected += sums.of(Sum::Expected);
-        self.feigned += sums.of(Sum::Feigned);
-        self.weights += sums.of(Sum::Weights);
-        self.excess += sums.of(Sum::Excess);
-        self.excess_weights += sums.of(Sum::ExcessWeights);
-        self.residuals += sums.of(Sum::Residuals);
-        self.inliers += sums.of(Sum::Inliers);
-        self.pairs += sums.of(Sum::Pairs);
-    }
-}
-
-pub(in crate::matching) struct Projective {
+pub(super) struct Projective {
     range_noise: RangeNoise,
     learns_noise: bool,
     /// What the processor can do.
@@ -237,23 +77,24 @@ pub(in crate::matching) struct Projective {
     views: Vec<PlacedView>,
     /// Views that take part at most.
     most_views: usize,
-    sensed: Sensed,
+    /// The sensed scan.
+    sensed: AllRays,
+    /// The rays of it that take part.
+    chosen: Rays,
     guess: FirstGuess,
     prior: QuadraticForm,
     floor: f64,
-    /// Distance of each ray from the nearest surface that it is paired with, m.
-    distances: Vec<Lanes>,
-    /// How the views judge the rays.
+    /// How the views judge the rays that take part.
     verdicts: Vec<Verdict>,
     /// Beams of a view that look where the rays end.
     beams: Vec<[u32; LANES]>,
     form: QuadraticForm,
-    totals: Totals,
+    totals: Sums,
 }
 
 impl Projective {
     /// `noise`: standard deviation of a range at least, m.
-    pub(in crate::matching) fn new(noise: f64) -> Self {
+    pub(super) fn new(noise: f64) -> Self {
         Self {
             range_noise: RangeNoise::new(noise),
             learns_noise: false,
@@ -261,16 +102,21 @@ impl Projective {
             fitter: LineFitter::default(),
             views: Vec::new(),
             most_views: usize::MAX,
-            sensed: Sensed::default(),
+            sensed: AllRays::default(),
+            chosen: Rays::default(),
             guess: Pose2::IDENTITY.into(),
             prior: QuadraticForm::default(),
             floor: LEAST_FLOOR,
-            distances: Vec::new(),
             verdicts: Vec::new(),
             beams: Vec::new(),
             form: QuadraticForm::default(),
-            totals: Totals::default(),
+            totals: Sums::default(),
         }
+    }
+
+    /// Views that have a surface for a ray, on the average; one at least.
+    fn views_per_ray(&self) -> f64 {
+        (self.totals.of(Sum::Pairs) / self.chosen.len.max(1) as f64).max(1.0)
     }
 
     fn chosen_views(&self) -> &[PlacedView] {
@@ -289,14 +135,12 @@ impl Projective {
         let zero = f32x8::splat(simd, 0.0);
         let mut sums = [zero; Sum::Count as usize];
         // Beforehand: as one loop, every step would wait for the one before, and a processor sees too little ahead to do others meanwhile.
-        for (Block { point: [x, y], .. }, beams) in self.sensed.chosen.blocks().zip(&mut self.beams) {
-            *beams = onto.beams(simd, x, y);
+        for (block, beams) in self.chosen.blocks.iter().zip(&mut self.beams) {
+            *beams = onto.beams(simd, block);
         }
-        let sensed = self.sensed.chosen.blocks().zip(&self.sensed.inverse_square);
-        let judged = sensed.zip(&mut self.distances).zip(&mut self.verdicts).zip(&self.beams);
-        for ((((Block { point: [x, y], chord }, inverse_square), distances), verdict), beams) in judged {
-            let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, x, y, beams);
-            let inverse_square = f32x8::from_slice(simd, inverse_square);
+        for ((block, verdict), beams) in self.chosen.blocks.iter().zip(&mut self.verdicts).zip(&self.beams) {
+            let Moved { point: [px, py], turned, partners, error } = onto.pair(simd, block, beams);
+            let inverse_square = f32x8::from_slice(simd, &block.inverse_square);
             // The lanes past the last ray have none.
             let found = partners.is_some(simd) & inverse_square.simd_gt(0.0);
             let [nx, ny] = partners.normal;
@@ -304,7 +148,7 @@ impl Projective {
             let (squared, distance) = (error * error, error.abs());
             let variance = facing * facing * inverse_square + floor + partners.variance;
             let scale = variance * kernel_width;
-            let chord = onto.turn(f32x8::from_slice(simd, chord[0]), f32x8::from_slice(simd, chord[1]));
+            let chord = onto.turned(simd, &block.chord);
             let across = nx.mul_add(chord[0], ny * chord[1]);
             let widened = across.mul_add(across, scale + squared);
             let one = found.select(f32x8::splat(simd, 1.0), zero);
@@ -313,7 +157,7 @@ impl Projective {
             let (kernel, by_variance) = (scale * variance * per_both, widened * per_both);
             let weight = kernel * kernel * by_variance * verdict.credit(simd);
             let inlier = squared.simd_lt(scale).select(one, zero);
-            verdict.add(simd, one, inlier);
+            verdict.add(simd, one, inlier, distance);
 
             let mut add = |place: usize, factor: f32x8<S>, value: f32x8<S>| sums[place] = factor.mul_add(value, sums[place]);
             let a = [nx, ny, nx * px + ny * py, ny * px - nx * py];
@@ -336,8 +180,6 @@ impl Projective {
             sums[Sum::Weights as usize] += weight;
             sums[Sum::Inliers as usize] += inlier;
             sums[Sum::Pairs as usize] += one;
-            let nearest = found.select(distance, f32x8::splat(simd, f32::INFINITY)).min(f32x8::from_slice(simd, distances));
-            nearest.store_slice(distances);
         }
         let mut added = [0.0; Sum::Count as usize];
         for (added, sum) in added.iter_mut().zip(sums) {
@@ -349,7 +191,7 @@ impl Projective {
 
     /// The floor for the next pairs, and whether it has come to rest.
     fn lower_floor(&mut self) -> bool {
-        let shown = self.floor + self.totals.excess / self.totals.excess_weights.max(f64::MIN_POSITIVE);
+        let shown = self.floor + self.totals.of(Sum::Excess) / self.totals.of(Sum::ExcessWeights).max(f64::MIN_POSITIVE);
         let gentlest = if self.floor > MOST_FLOOR { (GENTLEST * self.floor).max(MOST_FLOOR) } else { self.floor };
         let floor = shown.max(STEEPEST * self.floor).max(LEAST_FLOOR).min(gentlest);
         let resting = floor >= RESTING * self.floor;
@@ -364,7 +206,7 @@ impl Projective {
         let coupling = information.fixed_view::<2, 1>(0, 2);
         let translation = information.fixed_view::<2, 2>(0, 0) - coupling * coupling.transpose() / information.m33;
         let eigen = SymmetricEigen::of(&Matrix2::from(translation));
-        let feigned = self.totals.feigned + crooked * crooked * self.totals.weights;
+        let feigned = (self.totals.of(Sum::Feigned) + crooked * crooked * self.totals.of(Sum::Weights)) / self.views_per_ray();
         (eigen.values.x < FEIGNED * feigned).then_some(eigen.minor)
     }
 
@@ -375,7 +217,7 @@ impl Projective {
         let known = self.guess.prior.map_or(self.guess.pose, |prior| prior.pose);
         let mut form = QuadraticForm::default();
         // The line through what is known, at right angles to the direction, as if the pairs that have told of the rest all lay on it.
-        form.add_line(Point::zeros(), direction, direction.dot(&known.translation()), self.totals.expected);
+        form.add_line(Point::zeros(), direction, direction.dot(&known.translation()), self.totals.of(Sum::Expected));
         form
     }
 }
@@ -413,7 +255,7 @@ impl Pairing for Projective {
 
     fn begin(&mut self, guess: &FirstGuess) {
         self.guess = *guess;
-        self.verdicts.clear();
+        self.verdicts.iter_mut().for_each(Verdict::forget);
         let noise = self.range_noise.deviation();
         self.floor = (FIRST_WIDTH / (KERNEL_SIGMAS * noise)).powi(2);
         let unit = DEPENDENCE * noise * noise;
@@ -423,13 +265,14 @@ impl Pairing for Projective {
     }
 
     fn sense(&mut self, scan: &Scan) {
-        self.sensed.all.set(self.level, scan, self.range_noise.deviation());
+        self.sensed.set(self.level, scan, self.range_noise.deviation());
     }
 
     fn choose_rays(&mut self, order: RayOrder) {
-        let level = self.level;
-        self.verdicts.clear();
-        dispatch!(level, simd => self.sensed.choose(simd, order));
+        self.chosen.choose(&self.sensed.rays, order);
+        self.beams.resize(self.chosen.blocks.len(), [0; LANES]);
+        self.verdicts.resize(self.chosen.blocks.len(), Verdict::NONE);
+        self.verdicts.iter_mut().for_each(Verdict::forget);
     }
 
     fn choose_views(&mut self, at_most: usize) {
@@ -437,31 +280,26 @@ impl Pairing for Projective {
     }
 
     fn rays(&self) -> usize {
-        self.sensed.chosen.len
+        self.chosen.len
     }
 
     fn pair(&mut self, pose: &Pose2, _metric: Metric) -> Option<Pairs> {
         if self.views.is_empty() {
             return None;
         }
-        self.distances.clear();
-        self.distances.resize(self.sensed.inverse_square.len(), [f32::INFINITY; LANES]);
-        self.beams.resize(self.sensed.inverse_square.len(), [0; LANES]);
-        self.verdicts.resize(self.sensed.inverse_square.len(), Verdict::NONE);
-        (self.form, self.totals) = (QuadraticForm::default(), Totals::default());
+        self.verdicts.iter_mut().for_each(Verdict::begin);
+        (self.form, self.totals) = (QuadraticForm::default(), Sums::default());
         for view in 0..self.chosen_views().len() {
             let reference_from_view = self.views[view].reference_from_view;
             let view_from_sensed = reference_from_view.between(pose);
             let level = self.level;
             let sums = dispatch!(level, simd => self.sum(simd, view, &view_from_sensed));
             self.form += sums.form(&view_from_sensed).seen_from(&reference_from_view);
-            self.totals.add(&sums);
+            self.totals += &sums;
         }
         // A ray that several views have surfaces for is no better known than one: its own noise is the same for all.
-        let views_per_ray = (self.totals.pairs / self.sensed.chosen.len.max(1) as f64).max(1.0);
+        let views_per_ray = self.views_per_ray();
         self.form = self.form.scaled(views_per_ray.recip());
-        self.totals.feigned /= views_per_ray;
-        self.totals.weights /= views_per_ray;
         // One view alone contradicts nothing but the first guess, which says something where there is a prior.
         if self.chosen_views().len() > 1 || self.guess.prior.is_some() {
             self.verdicts.iter_mut().for_each(Verdict::conclude);
@@ -472,19 +310,20 @@ impl Pairing for Projective {
         let resting = self.lower_floor();
         Some(Pairs {
             form,
-            correspondences: (self.totals.pairs / views_per_ray).round() as u32,
-            inliers: (self.totals.inliers / views_per_ray).round() as u32,
-            mean_residual: self.totals.residuals / self.totals.inliers.max(1.0),
+            correspondences: (self.totals.of(Sum::Pairs) / views_per_ray).round() as u32,
+            inliers: (self.totals.of(Sum::Inliers) / views_per_ray).round() as u32,
+            mean_residual: self.totals.of(Sum::Residuals) / self.totals.of(Sum::Inliers).max(1.0),
             fingerprint: None,
             settled: resting,
         })
     }
 
     fn uncertainty(&mut self, pose: &Pose2, _metric: Metric) -> Uncertainty {
-        let noise = (self.totals.squares / self.totals.expected.max(f64::MIN_POSITIVE)).max(LEAST_NOISE * LEAST_NOISE);
+        let noise =
+            (self.totals.of(Sum::Squares) / self.totals.of(Sum::Expected).max(f64::MIN_POSITIVE)).max(LEAST_NOISE * LEAST_NOISE);
         let reference_rays: usize = self.chosen_views().iter().map(|placed| placed.view.scan().valid_len()).sum();
         // What the sensed rays that take part add of noise, the reference's have added to the surfaces, all of them.
-        let both = 1.0 + self.sensed.chosen.len as f64 / reference_rays.max(1) as f64;
+        let both = 1.0 + self.chosen.len as f64 / reference_rays.max(1) as f64;
         let free_direction = self.free_direction(pose, LEAST_TURN);
         let information = 0.5 * self.form.linearize(pose).1;
         let seen = free_direction.map_or(information, |direction| without(&information, &direction)) / (noise * both);
@@ -496,7 +335,7 @@ impl Pairing for Projective {
             covariance: known.and_then(Matrix3::try_inverse).filter(|covariance| covariance.iter().all(|v| v.is_finite())),
             condition_number: match free_direction {
                 Some(_) => f64::INFINITY,
-                None => condition_number(&information, self.sensed.mean_range),
+                None => condition_number(&information, self.chosen.mean_range(self.level)),
             },
             free_direction,
             information: Some(seen),
@@ -504,7 +343,7 @@ impl Pairing for Projective {
     }
 
     fn agreement(&self) -> Option<Agreement> {
-        let within = |limit: f32| self.distances.as_flattened().iter().filter(|&&distance| distance < limit).count() as u32;
+        let within = |limit: f32| self.verdicts.iter().map(|verdict| verdict.within(limit)).sum();
         Some(Agreement { agreeing: within(AGREEMENT), seen: within(f32::INFINITY) })
     }
 
@@ -519,7 +358,7 @@ impl Pairing for Projective {
     fn score(&self, pose: &Pose2) -> u32 {
         let Some(placed) = self.views.first() else { return 0 };
         let onto = Onto::new(&placed.view, &placed.reference_from_view.between(pose));
-        dispatch!(self.level, simd => self.sensed.score(simd, &onto))
+        dispatch!(self.level, simd => onto.score(simd, &self.chosen))
     }
 
     fn matched_points(&self, pose: &Pose2, points: &mut Vec<(Point, Point)>) {
@@ -527,7 +366,7 @@ impl Pairing for Projective {
             let view_from_sensed = placed.reference_from_view.between(pose).transform();
             let back = placed.reference_from_view.transform();
             let (bearings, surfaces) = (placed.view.bearings(), placed.view.surfaces());
-            for point in self.sensed.chosen.ends() {
+            for point in self.chosen.ends() {
                 let seen = view_from_sensed.apply(point.map(f64::from).into());
                 let surface = &surfaces[bearings.beam(&seen)];
                 let normal = Point::from(surface.normal().map(f64::from));
@@ -539,8 +378,6 @@ impl Pairing for Projective {
         }
     }
 }
-
-mod rays;
 
 #[cfg(test)]
 mod tests {
@@ -557,6 +394,3 @@ mod tests {
         assert!(known.cholesky().is_some(), "{known}");
     }
 }
-
-#[cfg(test)]
-mod specification;

@@ -4,7 +4,7 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 use super::{CorrespondenceSearch, Nearest};
 use crate::geometry::Point;
-use crate::matching::reference::Reference;
+use crate::matching::classic::reference::Reference;
 
 #[derive(Default)]
 pub(super) struct KdTreeSearch {

@@ -13,7 +13,7 @@
 use super::naive::nearest_of_all;
 use super::{CorrespondenceSearch, Nearest};
 use crate::geometry::Point;
-use crate::matching::reference::{NO_RAY, Ray, Reference};
+use crate::matching::classic::reference::{NO_RAY, Ray, Reference};
 
 /// Where a walk in one direction of the sweep goes from each ray.
 #[derive(Debug, Default)]

@@ -1,21 +1,26 @@
 //! Pairs a point with the segment at its nearest reference point, as PL-ICP does (Censi 2008), and leaves out the worst pairs. Of the
 //! views of a reference only the first takes part.
 
+pub mod correspondence;
+mod covariance;
+pub mod reference;
+pub mod rejection;
+
 use std::sync::Arc;
 
-use super::{Metric, Pairing, Pairs, PlacedView};
+use super::pairing::{Pairing, Pairs, PlacedView};
+use super::ray_order::RayOrder;
+use super::solver::{Metric, QuadraticForm};
+use super::view::View;
+use super::{FirstGuess, Uncertainty};
 use crate::geometry::{Point, Pose2};
-use crate::matching::correspondence::{CorrespondenceSearch, Nearest};
-use crate::matching::covariance::{Solution, UncertaintyEstimator};
-use crate::matching::ray_order::RayOrder;
-use crate::matching::reference::Reference;
-use crate::matching::rejection::{Pair, Rejection, RejectionKnobs};
-use crate::matching::solver::QuadraticForm;
-use crate::matching::view::View;
-use crate::matching::{FirstGuess, Uncertainty};
 use crate::scan::Scan;
+use correspondence::{CorrespondenceSearch, Nearest};
+use covariance::{Solution, UncertaintyEstimator};
+use reference::Reference;
+use rejection::{Pair, Rejection, RejectionKnobs};
 
-pub(in crate::matching) struct ClosestPoint {
+pub(super) struct ClosestPoint {
     max_distance: f64,
     range_noise: f64,
     search: Box<dyn CorrespondenceSearch>,
@@ -35,7 +40,7 @@ pub(in crate::matching) struct ClosestPoint {
 
 impl ClosestPoint {
     /// `max_distance`: of a pair, m; `range_noise`: standard deviation of a range, m.
-    pub(in crate::matching) fn new(
+    pub(super) fn new(
         search: Box<dyn CorrespondenceSearch>,
         rejection: &RejectionKnobs,
         max_distance: f64,

@@ -3,6 +3,7 @@
 use nalgebra::Matrix2;
 use proptest::prelude::*;
 
+use super::rays::Block;
 use super::*;
 use crate::matching::view::Bearings;
 use crate::scan::BeamGeometry;
@@ -17,7 +18,7 @@ const BEAMS: (usize, f64) = (181, 0.03);
 #[derive(Default)]
 struct Specified {
     form: QuadraticForm,
-    totals: Totals,
+    totals: Sums,
     /// Distance of each ray from its nearest partner, m.
     distances: Vec<f64>,
     /// What each ray weighs among the next pairs.
@@ -62,26 +63,24 @@ fn specified(
             let line = turn(reference_from_view) * normal;
             all.form.add_line(point, line, f64::from(surface.offset()) + line.dot(&reference_from_view.translation()), weight);
             let turn_variance = f32::from_bits(surface.variance().to_bits() << 16);
-            let totals = &mut all.totals;
-            totals.squares += weight * error.powi(2);
-            totals.expected += weight * variance;
-            totals.weights += weight;
-            totals.feigned += weight * f64::from(turn_variance);
-            totals.excess += weight / variance * ((error / noise).powi(2) - variance);
-            totals.excess_weights += weight / variance;
-            totals.residuals += is_inlier * error.abs();
+            let mut add = |sum: Sum, term: f64| all.totals.0[sum as usize] += term;
+            add(Sum::Squares, weight * error.powi(2));
+            add(Sum::Expected, weight * variance);
+            add(Sum::Weights, weight);
+            add(Sum::Feigned, weight * f64::from(turn_variance));
+            add(Sum::Excess, weight / variance * ((error / noise).powi(2) - variance));
+            add(Sum::ExcessWeights, weight / variance);
+            add(Sum::Residuals, is_inlier * error.abs());
+            add(Sum::Pairs, 1.0);
+            add(Sum::Inliers, is_inlier);
         }
-        all.totals.pairs += pairs;
-        all.totals.inliers += inliers;
         let confirmed: f64 = if pairs > 0.0 { inliers / pairs } else { 1.0 };
         all.credits.push(if views.len() > 1 { confirmed.max(0.02).sqrt() } else { 1.0 });
     }
-    let views_per_ray = (all.totals.pairs / sensed.len() as f64).max(1.0);
+    let views_per_ray = (all.totals.of(Sum::Pairs) / sensed.len() as f64).max(1.0);
     all.form = all.form.scaled(1.0 / views_per_ray);
-    all.totals.feigned /= views_per_ray;
-    all.totals.weights /= views_per_ray;
     let most = if floor > MOST_FLOOR { (GENTLEST * floor).max(MOST_FLOOR) } else { floor };
-    let shown = floor + all.totals.excess / all.totals.excess_weights.max(f64::MIN_POSITIVE);
+    let shown = floor + all.totals.of(Sum::Excess) / all.totals.of(Sum::ExcessWeights).max(f64::MIN_POSITIVE);
     all.floor = shown.max(STEEPEST * floor).max(LEAST_FLOOR).min(most);
     all
 }
@@ -150,21 +149,27 @@ fn assert_near(name: &str, fast: f64, plain: f64, scale: f64) -> Result<(), Test
 
 fn assert_meets(fast: &Projective, plain: &Specified, pose: &Pose2) -> Result<(), TestCaseError> {
     let (a, b) = (&fast.totals, &plain.totals);
-    prop_assert_eq!((a.pairs, a.inliers), (b.pairs, b.inliers));
-    assert_near("squares", a.squares, b.squares, 1e-6 * b.expected)?;
-    assert_near("expected", a.expected, b.expected, 0.0)?;
-    assert_near("feigned", a.feigned, b.feigned, 0.0)?;
-    assert_near("weights", a.weights, b.weights, 0.0)?;
-    assert_near("excess", a.excess, b.excess, b.excess_weights)?;
-    assert_near("excess weights", a.excess_weights, b.excess_weights, 0.0)?;
-    assert_near("residuals", a.residuals, b.residuals, 1e-3)?;
+    let expected = b.of(Sum::Expected);
+    for (sum, scale) in [
+        (Sum::Pairs, 0.0),
+        (Sum::Inliers, 0.0),
+        (Sum::Squares, 1e-6 * expected),
+        (Sum::Expected, 0.0),
+        (Sum::Feigned, 0.0),
+        (Sum::Weights, 0.0),
+        (Sum::Excess, b.of(Sum::ExcessWeights)),
+        (Sum::ExcessWeights, 0.0),
+        (Sum::Residuals, 1e-3),
+    ] {
+        assert_near(&format!("{sum:?}"), a.of(sum), b.of(sum), scale)?;
+    }
     assert_near("floor", fast.floor, plain.floor, 1.0)?;
     let ((gradient, information), (gradient_b, information_b)) = (fast.form.linearize(pose), plain.form.linearize(pose));
     prop_assert!((information - information_b).norm() <= PRECISION * information_b.norm(), "{information}{information_b}");
     let scale = gradient_b.norm() + 1e-3 * information_b.norm();
     prop_assert!((gradient - gradient_b).norm() <= PRECISION * scale, "{gradient}{gradient_b}");
-    assert_near("value", fast.form.value(pose), plain.form.value(pose), 1e-6 * b.expected)?;
-    let distances = fast.distances.as_flattened().iter().map(|&distance| f64::from(distance));
+    assert_near("value", fast.form.value(pose), plain.form.value(pose), 1e-6 * expected)?;
+    let distances = fast.verdicts.iter().flat_map(|verdict| verdict.nearest).map(f64::from);
     for (fast, &plain) in distances.zip(&plain.distances) {
         prop_assert!(fast.to_bits() == plain.to_bits() || (fast - plain).abs() < 1e-5, "{fast}, specified {plain}");
     }
@@ -196,10 +201,10 @@ proptest! {
         fast.begin(&poses[0].into());
         fast.sense(&scan);
         fast.choose_rays(RayOrder::first(rays, scan.valid_len()));
-        let chosen = &fast.sensed.chosen;
-        let chords = chosen.chord_x.as_flattened().iter().zip(chosen.chord_y.as_flattened()).map(|(&x, &y)| [x, y]);
         let in_double = |of: [f32; 2]| Point::from(of.map(f64::from));
-        let rays: Vec<(Point, Point)> = chosen.ends().zip(chords).map(|(end, chord)| (in_double(end), in_double(chord))).collect();
+        let lanes = |of: &[[f32; LANES]; 2]| -> [Point; LANES] { std::array::from_fn(|lane| in_double(of.map(|axis| axis[lane]))) };
+        let of_block = |block: &Block| lanes(&block.point).into_iter().zip(lanes(&block.chord));
+        let rays: Vec<(Point, Point)> = fast.chosen.blocks.iter().flat_map(of_block).take(fast.chosen.len).collect();
         let mut credits = vec![1.0; rays.len()];
         for pose in &poses {
             let plain = specified(&views, &rays, pose, noise, fast.floor, &credits);

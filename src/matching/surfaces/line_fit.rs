@@ -9,7 +9,7 @@
 
 use fearless_simd::{Level, dispatch, f32x8, f64x4, prelude::*};
 
-use super::surface::{LANES, Surface, Surfaces};
+use crate::matching::surface::{LANES, Surface, Surfaces};
 use crate::quantile::quantile;
 use crate::scan::Scan;
 

@@ -1,13 +1,5 @@
 //! Who pairs with whom: what one iteration of ICP makes of a pose before it solves for the next one.
 
-mod closest_point;
-mod projective;
-mod range_noise;
-mod verdict;
-
-pub(super) use closest_point::ClosestPoint;
-pub(super) use projective::Projective;
-
 use std::sync::Arc;
 
 use super::ray_order::RayOrder;

@@ -2,7 +2,7 @@
 
 use super::{CorrespondenceSearch, Nearest};
 use crate::geometry::Point;
-use crate::matching::reference::Reference;
+use crate::matching::classic::reference::Reference;
 
 #[derive(Debug)]
 pub(super) struct Naive;

@@ -1,27 +1,12 @@
-//! How well a match fixes the pose: its covariance from the noise of both scans' ranges (Censi 2007: the implicit function theorem on
-//! the minimum), and the condition of its information matrix.
+//! The covariance of a match from the noise of both scans' ranges (Censi 2007: the implicit function theorem on the minimum).
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::reference::Reference;
 use super::rejection::Pair;
-use super::solver::Metric;
 use crate::geometry::{Point, Pose2, PoseCovariance, perpendicular};
-
-/// How well a match fixes the pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Uncertainty {
-    /// Covariance of the pose (m, m, rad); `None` where the pairs leave a direction open.
-    pub covariance: Option<PoseCovariance>,
-    /// Ratio of the largest to the smallest eigenvalue of the information matrix, headings measured by their effect at the pairs'
-    /// mean distance; infinite where the pairs leave a direction open.
-    pub condition_number: f64,
-    /// Unit vector along which the pairs leave the translation open, if they do, in the reference frame. Classic pairs do not say.
-    pub free_direction: Option<Point>,
-    /// What the pairs alone know of the pose, without any prior: the inverse of a covariance in m, m, rad. Nothing along
-    /// [`Self::free_direction`].
-    pub information: Option<Matrix3<f64>>,
-}
+use crate::matching::solver::Metric;
+use crate::matching::uncertainty::{Uncertainty, condition_number};
 
 /// Derivatives of the gradient by the ranges of the reference rays; kept between calls for its memory.
 #[derive(Debug, Default)]
@@ -171,16 +156,4 @@ impl Sums {
         let covariance = inverse * symmetric(&self.spread) * inverse * (range_noise * range_noise);
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
-}
-
-/// Of an information matrix (x, y, heading), headings measured by their effect at the distance `lever`, m.
-pub(super) fn condition_number(information: &Matrix3<f64>, lever: f64) -> f64 {
-    let mut information = *information;
-    for i in 0..3 {
-        information[(i, 2)] /= lever;
-        information[(2, i)] /= lever;
-    }
-    let eigenvalues = information.symmetric_eigenvalues();
-    let (least, most) = (eigenvalues.min(), eigenvalues.max());
-    if least > 0.0 { most / least } else { f64::INFINITY }
 }

@@ -2,7 +2,7 @@
 
 use fearless_simd::{Simd, f32x8, mask32x8, prelude::*};
 
-use super::surface::LANES;
+use crate::matching::surface::LANES;
 
 /// Length of a chord, in standard deviations of a range: neighbours nearer than this tell of their own noise. From 3.5 to 7 all logs are
 /// matched alike; from 9 on, directions outweigh the little that long corridors show.
