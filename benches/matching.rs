@@ -60,7 +60,7 @@ fn bench_solve(criterion: &mut Criterion) {
     }
     let mut group = criterion.benchmark_group("solve");
     for kind in SolverKind::ALL {
-        let solver = kind.solver();
+        let solver = kind;
         group.bench_function(kind.name(), |bencher| bencher.iter(|| solver.solve(black_box(&form), &Pose2::IDENTITY)));
     }
 }

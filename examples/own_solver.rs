@@ -4,30 +4,22 @@
 #![allow(clippy::print_stdout)] // an example speaks to its reader
 
 use anytime_scan_matcher::geometry::{Point, Pose2};
-use anytime_scan_matcher::matching::solver::{Metric, QuadraticForm, Solver, SolverKind};
+use anytime_scan_matcher::matching::solver::{QuadraticForm, SolverKind};
 
 /// Gauss-Newton steps, each halved until the error falls.
-struct GaussNewton;
-
-impl Solver for GaussNewton {
-    fn metric(&self) -> Metric {
-        Metric::PointToLine
-    }
-
-    fn solve(&self, form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
-        let mut pose = *prior;
-        for _ in 0..20 {
-            let (gradient, hessian) = form.linearize(&pose);
-            let step = hessian.cholesky()?.solve(&-gradient); // `None`: the pairs leave a direction open
-            let moved = |part: f64| Pose2::new(pose.x + part * step.x, pose.y + part * step.y, pose.theta + part * step.z);
-            let parts = (0..10).map(|halvings| 0.5_f64.powi(halvings));
-            match parts.map(moved).find(|next| form.value(next) < form.value(&pose)) {
-                Some(next) => pose = next,
-                None => break,
-            }
+fn gauss_newton(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
+    let mut pose = *prior;
+    for _ in 0..20 {
+        let (gradient, hessian) = form.linearize(&pose);
+        let step = hessian.cholesky()?.solve(&-gradient); // `None`: the pairs leave a direction open
+        let moved = |part: f64| Pose2::new(pose.x + part * step.x, pose.y + part * step.y, pose.theta + part * step.z);
+        let parts = (0..10).map(|halvings| 0.5_f64.powi(halvings));
+        match parts.map(moved).find(|next| form.value(next) < form.value(&pose)) {
+            Some(next) => pose = next,
+            None => break,
         }
-        pose.is_finite().then_some(pose)
     }
+    pose.is_finite().then_some(pose)
 }
 
 fn main() {
@@ -44,6 +36,6 @@ fn main() {
         }
     }
     println!("truth        {truth:?}");
-    println!("closed form  {:?}", SolverKind::PointToLine.solver().solve(&form, &Pose2::IDENTITY));
-    println!("own solver   {:?}", GaussNewton.solve(&form, &Pose2::IDENTITY));
+    println!("closed form  {:?}", SolverKind::PointToLine.solve(&form, &Pose2::IDENTITY));
+    println!("own solver   {:?}", gauss_newton(&form, &Pose2::IDENTITY));
 }

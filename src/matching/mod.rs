@@ -33,7 +33,7 @@ pub use pairing::PlacedView;
 use pairing::{Agreement, Pairing, Pairs};
 use ray_order::RayOrder;
 use search::{Search, Tracked};
-use solver::{QuadraticForm, Solver, SolverKind};
+use solver::{Metric, QuadraticForm, SolverKind};
 use surfaces::Projective;
 pub use uncertainty::Uncertainty;
 pub use view::View;
@@ -199,9 +199,9 @@ impl From<Pose2> for FirstGuess {
 pub struct Matcher {
     knobs: MatchingKnobs,
     pairing: Box<dyn Pairing>,
-    solver: Box<dyn Solver>,
-    /// For where that one goes far.
-    step: Box<dyn Solver>,
+    metric: Metric,
+    /// The solver.
+    minimise: fn(&QuadraticForm, &Pose2) -> Option<Pose2>,
     search: Search,
     /// Number of rays asked for when they were chosen; 0: not yet.
     rays_chosen: usize,
@@ -225,8 +225,8 @@ impl Matcher {
         };
         Self {
             pairing,
-            solver: solver.solver(),
-            step: SolverKind::Linearized.solver(),
+            metric: solver.metric(),
+            minimise: solver.function(),
             search: Search::default(),
             rays_chosen: 0,
             trace: Vec::with_capacity(STAGES * knobs.max_iterations as usize),
@@ -365,7 +365,7 @@ impl Refinement<'_> {
             m.search.consider(pose, agreement);
             return None;
         }
-        m.pairing.pair(&tracked.pose, m.solver.metric());
+        m.pairing.pair(&tracked.pose, m.metric);
         let before = m.pairing.agreement()?;
         let Some(found) = m.search.found(before, m.pairing.rays()) else { return Some(self.return_to(&tracked)) };
         self.pose = found;
@@ -428,7 +428,7 @@ impl Refinement<'_> {
     /// The whole of ICP.
     fn iterate(&mut self) -> Result<(), StopReason> {
         let m = &mut *self.matcher;
-        let pairs = m.pairing.pair(&self.pose, m.solver.metric()).ok_or(StopReason::TooFewCorrespondences)?;
+        let pairs = m.pairing.pair(&self.pose, m.metric).ok_or(StopReason::TooFewCorrespondences)?;
         let share = f64::from(pairs.correspondences) / m.pairing.rays() as f64;
         if share < m.knobs.min_correspondence_ratio || pairs.inliers < FEWEST_PAIRS {
             return Err(StopReason::TooFewCorrespondences);
@@ -495,17 +495,17 @@ impl Refinement<'_> {
         if let Stage::Search(tracked) = self.stage {
             m.pair_again(&self.first_guess, &tracked);
         }
-        Some(m.pairing.uncertainty(&self.pose, m.solver.metric()))
+        Some(m.pairing.uncertainty(&self.pose, m.metric))
     }
 }
 
 impl Matcher {
     /// What fits pairs that were made at a pose.
     fn solve(&self, form: &QuadraticForm, pose: &Pose2) -> Option<Pose2> {
-        let best = self.solver.solve(form, pose)?;
+        let best = (self.minimise)(form, pose).filter(Pose2::is_finite)?;
         // Two walls are fitted as well when all turns half round about their corner. Pairs are for what is near.
         let is_near = wrap_angle(best.theta - pose.theta).abs() < FRAC_PI_2;
-        if is_near { Some(best) } else { self.step.solve(form, pose) }
+        if is_near { Some(best) } else { SolverKind::Linearized.solve(form, pose) }
     }
 
     /// Some iterations from a start of the search.
@@ -513,11 +513,11 @@ impl Matcher {
         let mut pose = start;
         self.pairing.begin(&start.into());
         for _ in 0..SEARCH_ITERATIONS {
-            let pairs = self.pairing.pair(&pose, self.solver.metric());
+            let pairs = self.pairing.pair(&pose, self.metric);
             let Some(next) = pairs.and_then(|pairs| self.solve(&pairs.form, &pose)) else { break };
             pose = next;
         }
-        self.pairing.pair(&pose, self.solver.metric());
+        self.pairing.pair(&pose, self.metric);
         (pose, self.pairing.agreement().unwrap_or_default())
     }
 
@@ -525,7 +525,7 @@ impl Matcher {
     fn pair_again(&mut self, first_guess: &FirstGuess, tracked: &Tracked) {
         self.pairing.begin(first_guess);
         self.pairing.set_width(tracked.width);
-        self.pairing.pair(&tracked.pose, self.solver.metric());
+        self.pairing.pair(&tracked.pose, self.metric);
     }
 
     /// Adds to the trace; answers the earlier iteration with the same pairs, if there is one from `level_start` on.

@@ -15,23 +15,10 @@ fn classic() -> MatchingKnobs {
     MatchingKnobs { correspondence: Correspondence::JumpTable, coarse_rays: 0, ..MatchingKnobs::default() }
 }
 
-/// A solver that finds no pose.
-struct NoPose;
-
-impl Solver for NoPose {
-    fn metric(&self) -> solver::Metric {
-        solver::Metric::PointToLine
-    }
-
-    fn solve(&self, _form: &QuadraticForm, _prior: &Pose2) -> Option<Pose2> {
-        None
-    }
-}
-
 #[test]
 fn a_solver_that_finds_no_pose_ends_the_match_at_the_guess() {
     let mut matcher = Matcher::new(&classic(), &RejectionKnobs::default());
-    matcher.solver = Box::new(NoPose);
+    matcher.minimise = |_, _| None;
     matcher.set_reference(&wall(2.0));
     let sensed = wall(1.9);
     let mut refinement = matcher.begin(&sensed, Pose2::IDENTITY);

@@ -80,7 +80,7 @@ fn shared_problems() -> Option<Vec<Problem>> {
 #[test]
 fn the_closed_form_finds_the_optimum_of_every_shared_problem() {
     let (Some(problems), Some(truth)) = (shared_problems(), crate::common::shared("vectors/gpc_truth.txt")) else { return };
-    let solver = SolverKind::PointToLine.solver();
+    let solver = SolverKind::PointToLine;
     let mut checked = 0;
     for line in std::fs::read_to_string(truth).unwrap().lines().filter(|line| !line.starts_with('#')) {
         let words: Vec<&str> = line.split_whitespace().collect();
@@ -125,7 +125,7 @@ fn random_problem(rng: &mut Pcg64, id: u32) -> Problem {
 #[test]
 fn the_closed_form_is_never_beaten_by_a_search_over_the_heading() {
     let mut rng = Pcg64::seed_from_u64(1);
-    let solver = SolverKind::PointToLine.solver();
+    let solver = SolverKind::PointToLine;
     for id in 0..3000 {
         let problem = random_problem(&mut rng, id);
         let pose = solver.solve(&problem.form(), &Pose2::IDENTITY).unwrap();
@@ -139,7 +139,7 @@ fn the_closed_form_is_never_beaten_by_a_search_over_the_heading() {
 #[test]
 fn the_answer_belongs_to_the_largest_root_of_the_quartic() {
     let mut rng = Pcg64::seed_from_u64(2);
-    let solver = SolverKind::PointToLine.solver();
+    let solver = SolverKind::PointToLine;
     let mut negative = 0;
     // Where a pose fits every line, for want of noise or of lines, the root is double: the expanded polynomial cannot resolve that.
     for id in (0..1500).filter(|id| id % 3 != 0) {
@@ -197,11 +197,11 @@ fn iterative_solvers_reach_the_closed_form_from_near_by() {
             continue;
         }
         let form = problem.form();
-        let exact = SolverKind::PointToLine.solver().solve(&form, &Pose2::IDENTITY).unwrap();
+        let exact = SolverKind::PointToLine.solve(&form, &Pose2::IDENTITY).unwrap();
         let near = Pose2::new(exact.x + 0.05, exact.y - 0.05, exact.theta + 0.02);
-        let by_levenberg_marquardt = SolverKind::LevenbergMarquardt.solver().solve(&form, &near).unwrap();
+        let by_levenberg_marquardt = SolverKind::LevenbergMarquardt.solve(&form, &near).unwrap();
         assert!(form.value(&by_levenberg_marquardt) <= form.value(&exact) + 1e-8, "problem {id}");
-        let linearized = SolverKind::Linearized.solver();
+        let linearized = SolverKind::Linearized;
         let mut pose = near;
         for _ in 0..20 {
             pose = linearized.solve(&form, &pose).unwrap();
@@ -214,7 +214,7 @@ fn iterative_solvers_reach_the_closed_form_from_near_by() {
 #[test]
 fn point_to_point_recovers_a_motion_and_beats_a_search() {
     let mut rng = Pcg64::seed_from_u64(4);
-    let solver = SolverKind::PointToPoint.solver();
+    let solver = SolverKind::PointToPoint;
     for id in 0..300 {
         let mut problem = random_problem(&mut rng, id);
         for term in &mut problem.terms {
@@ -229,7 +229,7 @@ fn point_to_point_recovers_a_motion_and_beats_a_search() {
 #[test]
 fn what_the_pairs_leave_open_is_the_priors() {
     let prior = Pose2::new(0.7, 0.2, 0.1);
-    let solver = SolverKind::PointToLine.solver();
+    let solver = SolverKind::PointToLine;
     // Walls along x only: x stays where it was.
     let mut corridor = QuadraticForm::default();
     for i in 0..20 {
@@ -248,7 +248,7 @@ fn what_the_pairs_leave_open_is_the_priors() {
     assert!(pose.translation().norm() < 1e-9 && (pose.theta - 0.1).abs() < 1e-12, "{pose:?}");
     // Nothing at all: no pose, and no crash.
     for kind in SolverKind::ALL {
-        let answer = kind.solver().solve(&QuadraticForm::default(), &prior);
+        let answer = kind.solve(&QuadraticForm::default(), &prior);
         assert!(answer.is_none_or(|pose| pose.is_finite()), "{}", kind.name());
     }
 }

@@ -3,7 +3,7 @@
 //! One pass over the pairs gathers their summed squared error as a [`QuadraticForm`] of `(x, y, cos, sin)`; each solver is a way
 //! to minimise that form, of constant cost whatever the number of pairs.
 //!
-//! To add a solver: a file with a type that implements [`Solver`], a variant in [`SolverKind`] and a line in [`SolverKind::solver`].
+//! To add a solver: a file with a function like the others' `solve`, a variant in [`SolverKind`] and a line in `SolverKind::function`.
 
 mod levenberg_marquardt;
 mod linearized;
@@ -25,15 +25,6 @@ pub enum Metric {
     PointToPoint,
 }
 
-/// A way to minimise a [`QuadraticForm`] over poses.
-pub trait Solver: Send {
-    /// The error this solver is for.
-    fn metric(&self) -> Metric;
-
-    /// The minimising pose. `prior` decides what the pairs leave open; iterative solvers start there. `None`: no finite answer.
-    fn solve(&self, form: &QuadraticForm, prior: &Pose2) -> Option<Pose2>;
-}
-
 crate::choices! {
     /// The solvers there are.
     pub enum SolverKind {
@@ -49,13 +40,22 @@ crate::choices! {
 }
 
 impl SolverKind {
-    /// A solver of this kind.
-    pub fn solver(self) -> Box<dyn Solver> {
+    /// The error that it is for.
+    pub fn metric(self) -> Metric {
+        if self == Self::PointToPoint { Metric::PointToPoint } else { Metric::PointToLine }
+    }
+
+    /// The pose that minimises a form. `prior` decides what the pairs leave open; iterative solvers start there. `None`: no finite answer.
+    pub fn solve(self, form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
+        self.function()(form, prior).filter(Pose2::is_finite)
+    }
+
+    pub(super) fn function(self) -> fn(&QuadraticForm, &Pose2) -> Option<Pose2> {
         match self {
-            Self::PointToLine => Box::new(point_to_line::PointToLine),
-            Self::PointToPoint => Box::new(point_to_point::PointToPoint),
-            Self::LevenbergMarquardt => Box::new(levenberg_marquardt::LevenbergMarquardt),
-            Self::Linearized => Box::new(linearized::Linearized),
+            Self::PointToLine => point_to_line::solve,
+            Self::PointToPoint => point_to_point::solve,
+            Self::LevenbergMarquardt => levenberg_marquardt::solve,
+            Self::Linearized => linearized::solve,
         }
     }
 }
@@ -210,10 +210,6 @@ impl AddAssign for QuadraticForm {
 fn lift(pose: &Pose2) -> Vector4<f64> {
     let (sin, cos) = pose.theta.sin_cos();
     Vector4::new(pose.x, pose.y, cos, sin)
-}
-
-fn finite(pose: Pose2) -> Option<Pose2> {
-    pose.is_finite().then_some(pose)
 }
 
 #[cfg(test)]

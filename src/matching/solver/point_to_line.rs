@@ -11,7 +11,7 @@
 
 use nalgebra::Matrix2;
 
-use super::{Metric, QuadraticForm, Solver, finite};
+use super::QuadraticForm;
 use crate::geometry::{Point, Pose2};
 use crate::matching::symmetric_eigen::SymmetricEigen;
 
@@ -21,25 +21,16 @@ const RANK_TOLERANCE: f64 = 1e-13;
 /// Newton steps at most; the most ever needed in thousands of random problems is 10.
 const MAX_NEWTON_STEPS: usize = 30;
 
-#[derive(Debug)]
-pub(super) struct PointToLine;
-
-impl Solver for PointToLine {
-    fn metric(&self) -> Metric {
-        Metric::PointToLine
-    }
-
-    fn solve(&self, form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
-        let translation = PseudoInverse::of(&form.translation_block())?;
-        let (a_inverse, b) = (translation.inverse, form.coupling_block());
-        let (g1, g2) = (form.translation_gradient(), form.rotation_gradient());
-        let s = form.rotation_block() - b.transpose() * a_inverse * b;
-        let h = g2 - b.transpose() * a_inverse * g1;
-        let (sin, cos) = prior.theta.sin_cos();
-        let u = unit_minimizer(&s, h, Point::new(cos, sin))?;
-        let t = -(a_inverse * (g1 + b * u)) + translation.null_space * prior.translation();
-        finite(Pose2::new(t.x, t.y, u.y.atan2(u.x)))
-    }
+pub(super) fn solve(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
+    let translation = PseudoInverse::of(&form.translation_block())?;
+    let (a_inverse, b) = (translation.inverse, form.coupling_block());
+    let (g1, g2) = (form.translation_gradient(), form.rotation_gradient());
+    let s = form.rotation_block() - b.transpose() * a_inverse * b;
+    let h = g2 - b.transpose() * a_inverse * g1;
+    let (sin, cos) = prior.theta.sin_cos();
+    let u = unit_minimizer(&s, h, Point::new(cos, sin))?;
+    let t = -(a_inverse * (g1 + b * u)) + translation.null_space * prior.translation();
+    Some(Pose2::new(t.x, t.y, u.y.atan2(u.x)))
 }
 
 /// Pseudo-inverse of a symmetric positive semidefinite matrix, and the projection on what it leaves open.

@@ -1,26 +1,17 @@
 //! Closed-form minimum of the point-to-point error (Lu and Milios 1997).
 
-use super::{Metric, QuadraticForm, Solver, finite};
+use super::QuadraticForm;
 use crate::geometry::Pose2;
-
-#[derive(Debug)]
-pub(super) struct PointToPoint;
 
 /// With C = w I the matrices A and S of the point-to-line solver are multiples of the identity, and its stationarity condition
 /// says that the heading's unit vector u points against h.
-impl Solver for PointToPoint {
-    fn metric(&self) -> Metric {
-        Metric::PointToPoint
-    }
-
-    fn solve(&self, form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
-        let weight = form.translation_block().m11;
-        let b = form.coupling_block();
-        let g1 = form.translation_gradient();
-        let h = form.rotation_gradient() - b.transpose() * g1 / weight;
-        let (sin, cos) = prior.theta.sin_cos();
-        let u = (-h).try_normalize(0.0).unwrap_or_else(|| [cos, sin].into());
-        let t = -(g1 + b * u) / weight;
-        finite(Pose2::new(t.x, t.y, u.y.atan2(u.x)))
-    }
+pub(super) fn solve(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
+    let weight = form.translation_block().m11;
+    let b = form.coupling_block();
+    let g1 = form.translation_gradient();
+    let h = form.rotation_gradient() - b.transpose() * g1 / weight;
+    let (sin, cos) = prior.theta.sin_cos();
+    let u = (-h).try_normalize(0.0).unwrap_or_else(|| [cos, sin].into());
+    let t = -(g1 + b * u) / weight;
+    Some(Pose2::new(t.x, t.y, u.y.atan2(u.x)))
 }
