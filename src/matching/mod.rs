@@ -45,9 +45,9 @@ const STAGES: usize = 2;
 /// What a search finds must have more than this part of the rays agree.
 const LIKELY_AGREEMENT: f64 = 0.5;
 /// Rays that the search makes do with.
-const SEARCH_RAYS: usize = 48;
+const SEARCH_RAYS: usize = 64;
 /// Iterations from each start of the search.
-const SEARCH_ITERATIONS: usize = 3;
+const SEARCH_ITERATIONS: usize = 5;
 /// A prior that led astray has its covariance multiplied by this.
 const DISTRUST: f64 = 25.0;
 /// Each level of the coarse-to-fine schedule has so many times the rays of the one before.

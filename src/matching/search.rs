@@ -13,12 +13,13 @@ const STEP: f64 = 0.15;
 const TURN_STEP: f64 = 0.0873;
 /// Starts that are scored in one go.
 const SCORED_AT_ONCE: usize = 64;
-/// Starts nearer to one another than so many steps lead to the same pose: the diagonal of a square of steps, and some.
-const BESIDE: f64 = 1.6;
+/// Starts nearer to one another than so many steps lead to the same pose.
+const BESIDE: f64 = 1.1;
 /// Starts that are refined.
-const REFINED: usize = 3;
-/// Part of the rays that must agree more than before with a start, so that it is refined with all, and then, so that it is believed: for
-/// each standard deviation that it is away from the prior, once at least, ...
+const REFINED: usize = 8;
+/// Part of the rays that must agree more than before with a start, so that it is refined with all, ...
+const PROMISING: f64 = 0.03;
+/// ... and then, so that it is believed: for each standard deviation that it is away from the prior, once at least, ...
 const BELIEVED: f64 = 0.05;
 /// ... and so many times at most.
 const INCREDIBLE: f64 = 3.0;
@@ -102,7 +103,7 @@ impl Search {
 
     /// The pose found, if more of so many rays agree with it than did `before`.
     pub(super) fn found(&self, before: Agreement, rays: usize) -> Option<Pose2> {
-        self.best.filter(|(_, agreement)| exceeds(*agreement, before, BELIEVED, rays)).map(|(pose, _)| pose)
+        self.best.filter(|(_, agreement)| exceeds(*agreement, before, PROMISING, rays)).map(|(pose, _)| pose)
     }
 }
 

@@ -9,7 +9,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::placement::Placement;
-use crate::geometry::{Pose2, wrap_angle};
+use super::uncertainty::way_by_heading;
+use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 
 /// Levers turn with the path: so many times the errors are found anew. Of a drift of a metre and 0.1 rad less than a millimetre is left.
 const ROUNDS: usize = 3;
@@ -26,25 +27,32 @@ pub(super) fn put_right<'a>(path: impl Iterator<Item = &'a mut Placement>, end: 
     }
 }
 
+/// Covariance of the end of a path, as its steps add up to it.
+pub(super) fn covariance<'a>(path: impl Iterator<Item = &'a Placement> + Clone) -> PoseCovariance {
+    let Some(end) = path.clone().last().map(|place| place.map_from_laser) else { return PoseCovariance::zeros() };
+    path.map(|place| of_step(place, &end)).sum()
+}
+
+/// What a step's error adds to the covariance of the end.
+fn of_step(place: &Placement, end: &Pose2) -> PoseCovariance {
+    let lever = lever(&place.map_from_laser, end);
+    lever * place.step_covariance * lever.transpose()
+}
+
+/// What an error at a place makes of the end.
+fn lever(from: &Pose2, end: &Pose2) -> Matrix3<f64> {
+    way_by_heading(end.translation() - from.translation())
+}
+
 /// Gives each step its share of what is between the path's last place and `end`, as if levers stayed as they are.
 fn move_end(path: &mut [&mut Placement], end: &Pose2) {
-    let Some(Pose2 { x, y, theta }) = path.last().map(|place| place.map_from_laser) else { return };
-    let drift = Vector3::new(end.x - x, end.y - y, wrap_angle(end.theta - theta));
-    #[rustfmt::skip]
-    let lever = |from: &Pose2| Matrix3::new(
-        1.0, 0.0, from.y - y,
-        0.0, 1.0, x - from.x,
-        0.0, 0.0, 1.0,
-    );
-    let of_step = |place: &Placement| {
-        let lever = lever(&place.map_from_laser);
-        lever * place.step_covariance * lever.transpose()
-    };
-    let Some(information) = path.iter().map(|place| of_step(place)).sum::<Matrix3<f64>>().try_inverse() else { return };
+    let Some(last) = path.last().map(|place| place.map_from_laser) else { return };
+    let drift = Vector3::new(end.x - last.x, end.y - last.y, wrap_angle(end.theta - last.theta));
+    let Some(information) = path.iter().map(|place| of_step(place, &last)).sum::<Matrix3<f64>>().try_inverse() else { return };
     let multipliers = information * drift;
     let mut moved = Pose2::IDENTITY;
     for Placement { map_from_laser, step_covariance, .. } in path.iter_mut().map(|place| &mut **place) {
-        let error = *step_covariance * lever(map_from_laser).transpose() * multipliers;
+        let error = *step_covariance * lever(map_from_laser, &last).transpose() * multipliers;
         let carried = moved * *map_from_laser;
         let new = Pose2::new(carried.x + error.x, carried.y + error.y, carried.theta + error.z);
         moved = new * map_from_laser.inverse();
@@ -57,7 +65,6 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::geometry::PoseCovariance;
     use crate::time::Stamp;
 
     fn place(pose: Pose2, position: f64, heading: f64) -> Placement {
@@ -93,6 +100,16 @@ mod tests {
                 && (path[30].map_from_laser.theta - 1.57 - turn).abs() < 1e-3
         );
         assert!((path[30].map_from_laser.x - (20.0 - 10.0 * f64::sin(turn))).abs() < 0.01);
+    }
+
+    #[test]
+    fn the_covariance_of_the_end_is_that_of_the_steps_turned_about_it() {
+        let path: Vec<_> = (1..=2).map(|i| place(Pose2::new(f64::from(i), 0.0, 0.0), 0.1, 0.2)).collect();
+        let end = covariance(path.iter());
+        // The first step's turn moves the end by a metre a radian, the second one's does not.
+        let expected = Matrix3::new(0.02, 0.0, 0.0, 0.0, 0.02 + 0.04, 0.04, 0.0, 0.04, 0.08);
+        assert!((end - expected).norm() < 1e-12, "{end}");
+        assert_eq!(covariance(std::iter::empty()), PoseCovariance::zeros());
     }
 
     #[test]

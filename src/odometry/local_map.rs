@@ -183,13 +183,18 @@ impl LocalMap {
         self.way() - recognised.way.max(self.held_until)
     }
 
-    /// The path has drifted on the free way, and is put right: `correction` for the last keyframe, and for those before what follows
-    /// from how sure their steps are.
-    pub(super) fn correct(&mut self, recognised: &Unrecognised, correction: &Pose2) {
+    /// Covariance of where the path has drifted to on the free way, in the map frame.
+    pub(super) fn drift_covariance(&self, recognised: &Unrecognised) -> PoseCovariance {
         let start = self.way() - self.free_way(recognised);
-        let Some((last, _)) = self.last() else { return };
+        drift::covariance(self.keyframes.iter().filter(|keyframe| keyframe.way > start).map(|keyframe| &keyframe.place))
+    }
+
+    /// The path has drifted on the free way, and is put right: the last keyframe was taken at `map_from_laser`; for those before it
+    /// follows from how sure their steps are.
+    pub(super) fn correct(&mut self, recognised: &Unrecognised, map_from_laser: &Pose2) {
+        let start = self.way() - self.free_way(recognised);
         let drifted = self.keyframes.iter_mut().filter(|keyframe| keyframe.way > start);
-        drift::put_right(drifted.map(|keyframe| &mut keyframe.place), &(*correction * last));
+        drift::put_right(drifted.map(|keyframe| &mut keyframe.place), map_from_laser);
     }
 
     /// Way to the last keyframe, m.
@@ -345,7 +350,7 @@ mod tests {
     fn a_correction_is_spread_over_the_way_that_has_drifted() {
         let mut map = there_and_back();
         let recognised = map.unrecognised_around(&Pose2::new(0.0, 0.5, 0.0), 1, &mut Vec::new()).unwrap();
-        map.correct(&recognised, &Pose2::new(0.0, -0.5, 0.0));
+        map.correct(&recognised, &Pose2::IDENTITY);
         let y = |i: usize| map.keyframes[i].place.map_from_laser.y;
         assert_eq!((y(0), y(41)), (0.0, 0.0), "the place recognised stays, the last keyframe comes to lie on it");
         assert!((y(20) + 0.25).abs() < 0.01 && (y(21) - 0.25).abs() < 0.01, "half of it half way: {} {}", y(20), y(21));

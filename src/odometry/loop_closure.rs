@@ -3,11 +3,14 @@
 //! Every new keyframe is matched to the keyframes of long ago that should be around. Where the path has hardly drifted, one match
 //! says all. Where it has, a wrong place may look right for once: only several keyframes in a row that agree on where the path has
 //! drifted to are believed (the consistency of loop closures in a chain, as in Olson 2009, "Recognizing places using spectrally
-//! clustered local matches").
+//! clustered local matches"). What is believed puts the path right as far as the match knows better than the path (the Kalman filter's
+//! update): along a corridor it may know nothing.
 
 use std::ops::RangeInclusive;
 
-use crate::geometry::Pose2;
+use nalgebra::{Matrix3, Vector3};
+
+use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 use crate::matching::SearchWindow;
 
 /// How far a path may have drifted per metre: that far the earlier keyframes are looked for, m ...
@@ -22,8 +25,9 @@ const TURN_DRIFT: RangeInclusive<f64> = 0.02..=0.15;
 const DOUBTFUL: f64 = 0.8;
 /// Least part of the rays that agree.
 const AGREEING: f64 = 0.7;
-/// Of a match of a greater condition number it is not clear where along a wall it belongs.
-const GREATEST_CONDITION: f64 = 50.0;
+/// A match says where a place is when it knows to within this, m: standard deviation. Along a corridor few do. From 1.5 to 2 cm all logs do
+/// alike; at 1 cm half of the scans of aces find too few loops, at 5 cm intel's relations are a third worse.
+const CLEAR: f64 = 0.017;
 /// A path has hardly drifted by less than this, m ...
 const SMALL_DRIFT: f64 = 0.3;
 /// ... and rad.
@@ -44,8 +48,8 @@ pub(super) struct Sighting {
     pub(super) by_earlier: Pose2,
     /// Part of the rays that agree with them.
     pub(super) agreement: f64,
-    /// Of the match.
-    pub(super) condition_number: f64,
+    /// What the match knows of that pose: the inverse of its covariance, in the map frame; nothing along directions that it leaves open.
+    pub(super) information: Matrix3<f64>,
 }
 
 impl Sighting {
@@ -53,15 +57,27 @@ impl Sighting {
     fn correction(&self) -> Pose2 {
         self.by_earlier * self.by_path.inverse()
     }
-}
 
-/// What is made of a sighting.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Recognition {
-    /// The place is that of the earlier keyframes.
-    SamePlace,
-    /// It is, and the path has drifted: this takes poses to where they belong.
-    Drifted(Pose2),
+    /// Whether it says where the keyframe was taken, and not just where along a wall it may have been.
+    fn is_clear(&self) -> bool {
+        self.information.try_inverse().is_some_and(|known| (known.m11 + known.m22).sqrt() < CLEAR)
+    }
+
+    /// Where the keyframe was taken by all that is known, and the covariance, in the map frame. `drift`: covariance of the path's pose,
+    /// seen from the earlier keyframes; so many times that where the two contradict one another (Mehra 1970).
+    pub(super) fn weighed(&self, drift: &PoseCovariance) -> (Pose2, PoseCovariance) {
+        let Pose2 { x, y, theta } = self.by_path;
+        let offset = Vector3::new(self.by_earlier.x - x, self.by_earlier.y - y, wrap_angle(self.by_earlier.theta - theta));
+        // I (D I + E)^-1 is (D + I^-1)^-1, also where the information has no inverse.
+        let of_both = |drift: &PoseCovariance| {
+            let inverse = (drift * self.information + Matrix3::identity()).try_inverse();
+            inverse.map_or_else(Matrix3::zeros, |inverse| self.information * inverse)
+        };
+        let drift = drift * (offset.dot(&(of_both(drift) * offset)) / 3.0).max(1.0);
+        let gain = drift * of_both(&drift);
+        let change = gain * offset;
+        (Pose2::new(x + change.x, y + change.y, theta + change.z), drift - gain * drift)
+    }
 }
 
 /// Where to look for earlier keyframes when the path has been free to drift for `way`, m.
@@ -87,30 +103,26 @@ impl LoopCloser {
         self.corrections.clear();
     }
 
-    /// What the next keyframe has seen.
-    pub(super) fn judge(&mut self, sighting: &Sighting) -> Option<Recognition> {
-        let correction = sighting.correction();
-        let is_clear = sighting.condition_number < GREATEST_CONDITION;
-        if sighting.agreement < AGREEING {
-            self.forget();
-            return None;
+    /// Whether to believe what the next keyframe has seen.
+    pub(super) fn believes(&mut self, sighting: &Sighting) -> bool {
+        if !sighting.is_clear() {
+            return false;
         }
-        if is_within(&sighting.by_path, &sighting.by_earlier, SMALL_DRIFT, SMALL_TURN_DRIFT) {
+        let is_small = is_within(&sighting.by_path, &sighting.by_earlier, SMALL_DRIFT, SMALL_TURN_DRIFT);
+        if sighting.agreement < AGREEING || is_small {
             self.forget();
-            return Some(if is_clear { Recognition::Drifted(correction) } else { Recognition::SamePlace });
+            return sighting.agreement >= AGREEING;
         }
         let agrees = |other: &Pose2| is_within(&(*other * sighting.by_path), &sighting.by_earlier, CONSISTENT, CONSISTENT_TURN);
-        if !is_clear || !self.corrections.iter().all(agrees) {
+        if !self.corrections.iter().all(agrees) {
             self.forget();
         }
-        if is_clear {
-            self.corrections.push(correction);
+        self.corrections.push(sighting.correction());
+        let is_believed = self.corrections.len() >= IN_A_ROW;
+        if is_believed {
+            self.forget();
         }
-        if self.corrections.len() < IN_A_ROW {
-            return None;
-        }
-        self.forget();
-        Some(Recognition::Drifted(correction))
+        is_believed
     }
 }
 
@@ -125,32 +137,53 @@ mod tests {
 
     fn sighting(way: f64, drift: Pose2) -> Sighting {
         let by_path = Pose2::new(way, 1.0, 0.3);
-        Sighting { by_path, by_earlier: drift * by_path, agreement: 0.9, condition_number: 10.0 }
+        let information = Matrix3::from_diagonal(&Vector3::new(1e4, 1e4, 1e6));
+        Sighting { by_path, by_earlier: drift * by_path, agreement: 0.9, information }
     }
 
-    fn judge(sightings: impl IntoIterator<Item = Sighting>) -> Vec<bool> {
+    /// The same of a keyframe that has seen no more than a wall along x.
+    fn unclear(sighting: &Sighting) -> Sighting {
+        Sighting { information: Matrix3::from_diagonal(&Vector3::new(0.0, 1e4, 1e6)), ..*sighting }
+    }
+
+    fn believed(sightings: impl IntoIterator<Item = Sighting>) -> Vec<bool> {
         let mut closer = LoopCloser::default();
-        sightings.into_iter().map(|sighting| closer.judge(&sighting).is_some()).collect()
+        sightings.into_iter().map(|sighting| closer.believes(&sighting)).collect()
     }
 
     #[test]
-    fn a_small_drift_is_believed_at_once_and_corrected_where_the_match_is_clear() {
-        let small = Pose2::new(0.1, -0.1, 0.01);
-        let clear = sighting(3.0, small);
-        let Some(Recognition::Drifted(correction)) = LoopCloser::default().judge(&clear) else { panic!("no correction") };
-        assert!((correction * clear.by_path).between(&clear.by_earlier).distance() < 1e-12);
-        let along_a_wall = Sighting { condition_number: f64::INFINITY, ..clear };
-        assert_eq!(LoopCloser::default().judge(&along_a_wall), Some(Recognition::SamePlace));
-        assert_eq!(LoopCloser::default().judge(&Sighting { agreement: 0.5, ..clear }), None);
+    fn a_small_drift_is_believed_at_once() {
+        let small = sighting(3.0, Pose2::new(0.1, -0.1, 0.01));
+        assert_eq!(believed([small, Sighting { agreement: 0.5, ..small }, unclear(&small)]), [true, false, false]);
     }
 
     #[test]
     fn a_great_drift_takes_keyframes_in_a_row_that_agree() {
         let drift = Pose2::new(1.0, 0.5, 0.03);
         let (right, wrong) = (|way| sighting(way, drift), |way| sighting(way, Pose2::new(-0.7, 0.0, 0.0)));
-        assert_eq!(judge([right(0.0), right(0.4), right(0.8)]), [false, false, true]);
-        assert_eq!(judge([right(0.0), wrong(0.4), right(0.8), right(1.2), right(1.6)]), [false, false, false, false, true]);
-        let unclear = Sighting { condition_number: 80.0, ..right(0.4) };
-        assert_eq!(judge([right(0.0), unclear, right(0.8), right(1.2)]), [false; 4]);
+        assert_eq!(believed([right(0.0), right(0.4), right(0.8)]), [false, false, true]);
+        assert_eq!(believed([right(0.0), wrong(0.4), right(0.8), right(1.2), right(1.6)]), [false, false, false, false, true]);
+        let seen = [right(0.0), unclear(&right(0.4)), right(0.8), right(1.2)];
+        assert_eq!(believed(seen), [false, false, false, true], "what says nothing does not contradict");
+    }
+
+    #[test]
+    fn the_path_is_put_right_as_far_as_the_match_knows_better() {
+        let seen = sighting(3.0, Pose2::new(0.1, -0.1, 0.01));
+        let drift = PoseCovariance::from_diagonal(&Vector3::new(0.04, 0.04, 1e-3));
+        let (pose, covariance) = seen.weighed(&drift);
+        assert!(pose.between(&seen.by_earlier).distance() < 1e-3 && (covariance.m11 - 1e-4).abs() < 1e-6);
+        let (pose, covariance) = unclear(&seen).weighed(&drift);
+        assert!((pose.x - seen.by_path.x).abs() < 1e-9 && (pose.y - seen.by_earlier.y).abs() < 1e-3);
+        assert!((covariance.m11 - drift.m11).abs() < 1e-9, "nothing is learned of how far along");
+    }
+
+    #[test]
+    fn a_path_that_claims_to_have_drifted_less_is_not_believed() {
+        let seen = sighting(3.0, Pose2::new(0.1, 0.0, 0.0));
+        let claimed = PoseCovariance::from_diagonal(&Vector3::repeat(1e-6));
+        let (pose, covariance) = seen.weighed(&claimed);
+        assert!(pose.x - seen.by_path.x > 0.02, "it would be a millimetre: {pose:?}");
+        assert!(covariance.m11 > 10.0 * claimed.m11, "{covariance}");
     }
 }

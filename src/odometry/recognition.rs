@@ -1,7 +1,7 @@
 //! Places of earlier on the path, recognised by the last keyframe: the map is put right.
 
 use super::local_map::Unrecognised;
-use super::loop_closure::{self, Recognition, Sighting};
+use super::loop_closure::{self, Sighting};
 use super::{LaserOdometry, uncertainty};
 use crate::anytime::Driver;
 use crate::matching::{FirstGuess, StopReason};
@@ -14,12 +14,11 @@ impl LaserOdometry {
             return;
         }
         if let Some(recognised) = self.unrecognised() {
-            let sighting = self.sight(&recognised, driver);
-            match sighting.map(|sighting| self.loop_closer.judge(&sighting)) {
+            match self.sight(&recognised, driver) {
                 // Again when there is more time.
                 None => self.to_be_recognised = true,
-                Some(None) => {}
-                Some(Some(recognition)) => self.recognise(&recognised, &recognition),
+                Some(sighting) if self.loop_closer.believes(&sighting) => self.recognise(&recognised, &sighting),
+                Some(_) => {}
             }
             self.choose_views();
         } else {
@@ -43,27 +42,31 @@ impl LaserOdometry {
         if driver.drive(&mut refinement) == StopReason::Interrupted {
             return None;
         }
-        let condition_number = refinement.uncertainty().map_or(f64::INFINITY, |known| known.condition_number);
         let by_earlier = earlier.map_from_laser * refinement.pose();
-        Some(Sighting { by_path, by_earlier, agreement: refinement.agreement().unwrap_or_default(), condition_number })
+        let agreement = refinement.agreement().unwrap_or_default();
+        let alike = uncertainty::rays_alike(view.scan(), refinement.rays() as u32);
+        let information = refinement.uncertainty().and_then(|known| known.information).unwrap_or_default() / alike;
+        let information = uncertainty::turned(&information, earlier.map_from_laser.theta);
+        Some(Sighting { by_path, by_earlier, agreement, information })
     }
 
-    pub(super) fn recognise(&mut self, earlier: &Unrecognised, recognition: &Recognition) {
+    pub(super) fn recognise(&mut self, earlier: &Unrecognised, sighting: &Sighting) {
         self.counters.closed_loops += 1;
+        let (map_from_laser, left) = sighting.weighed(&self.map.drift_covariance(earlier));
         self.map.link(earlier);
-        let Recognition::Drifted(correction) = recognition else { return };
-        self.map.correct(earlier, correction);
+        self.map.correct(earlier, &map_from_laser);
+        let correction = map_from_laser * sighting.by_path.inverse();
         if let Some(last) = &mut self.last {
-            // On the map the pose is known from there on as the earlier keyframe's is; in odom as it was.
+            // On the map the pose is known from there on as the earlier keyframe's is, and as well as from there; in odom as it was.
             let odom_from_map = self.map_from_odom.inverse();
             let in_odom = uncertainty::compound(&odom_from_map, &self.drift_covariance, &last.map_from_base, &last.covariance);
-            last.covariance = earlier.covariance;
+            last.covariance = earlier.covariance + left;
             let way = odom_from_map.transform().rotate(last.map_from_base.translation());
             let drift = in_odom - uncertainty::turned(&last.covariance, odom_from_map.theta);
             self.drift_covariance = uncertainty::carried(&uncertainty::positive(&drift), -way);
-            last.map_from_base = *correction * last.map_from_base;
-            last.map_from_laser = *correction * last.map_from_laser;
+            last.map_from_base = correction * last.map_from_base;
+            last.map_from_laser = correction * last.map_from_laser;
         }
-        self.map_from_odom = *correction * self.map_from_odom;
+        self.map_from_odom = correction * self.map_from_odom;
     }
 }
