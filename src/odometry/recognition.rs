@@ -44,7 +44,8 @@ impl LaserOdometry {
         }
         let by_earlier = earlier.map_from_laser * refinement.pose();
         let agreement = refinement.agreement().unwrap_or_default();
-        let alike = uncertainty::rays_alike(view.scan(), refinement.rays() as u32);
+        let rays = refinement.trace().last().map_or(0, |last| last.rays);
+        let alike = uncertainty::rays_alike(view.scan(), rays);
         let information = refinement.uncertainty().and_then(|known| known.information).unwrap_or_default() / alike;
         let information = uncertainty::turned(&information, earlier.map_from_laser.theta);
         Some(Sighting { by_path, by_earlier, agreement, information })

@@ -7,6 +7,9 @@ use crate::geometry::Pose2;
 /// says that the heading's unit vector u points against h.
 pub(super) fn solve(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
     let weight = form.translation_block().m11;
+    if weight <= 0.0 {
+        return None;
+    }
     let b = form.coupling_block();
     let g1 = form.translation_gradient();
     let h = form.rotation_gradient() - b.transpose() * g1 / weight;
