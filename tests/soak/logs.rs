@@ -119,23 +119,25 @@ fn covariances_hold_on_maps_as_far_as_stated() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (bag, truth) = (path("drive.bag"), path("drive.tum"));
-    for (map, walkers, wrong, beyond) in [
-        ("berlin", "0", 0, 0.01),
-        ("columbia", "0", 0, 0.01),
-        ("levine", "0", 0, 0.01),
-        ("porto", "0", 0, 0.01),
-        ("skirk", "0", 0, 0.01),
+    for (map, seed, walkers, wrong, beyond) in [
+        ("berlin", "21", "0", 0, 0.01),
+        ("columbia", "21", "0", 0, 0.01),
+        ("levine", "21", "0", 0, 0.01),
+        ("porto", "21", "0", 0, 0.01),
+        ("skirk", "21", "0", 0, 0.01),
+        // Two visits of a corridor were linked, but not put right: 313 poses were confidently wrong.
+        ("berlin", "5", "0", 0, 0.01),
         // The poses are off by a metre: that is said.
-        ("levine", "30", 198, 0.083),
-        ("porto", "30", 0, 0.01),
+        ("levine", "21", "30", 198, 0.083),
+        ("porto", "21", "30", 0, 0.01),
     ] {
         let Some(world) = shared(&format!("data/maps/{map}.yaml")) else { return };
-        let drive = ["--duration", "60", "--speed", "5", "--seed", "21", "--walkers", walkers, "--json"];
+        let drive = ["--duration", "60", "--speed", "5", "--seed", seed, "--walkers", walkers, "--json"];
         json(&[&["simulate", "--world", world.to_str().unwrap(), "--out", &bag, "--truth", &truth], &drive[..]].concat());
         let found = &json(&["replay", &bag, "--truth", &truth, "--json"])["consistency"];
         let share_beyond = |name: &str| 1.0 - found[name].as_f64().unwrap();
-        assert!(found["confidently_wrong"].as_u64().unwrap() <= wrong, "{map}, {walkers} people: {found}");
+        assert!(found["confidently_wrong"].as_u64().unwrap() <= wrong, "{map}, seed {seed}, {walkers} people: {found}");
         let share = share_beyond("positions_within").max(share_beyond("headings_within"));
-        assert!(share < beyond, "{map}, {walkers} people: {found}");
+        assert!(share < beyond, "{map}, seed {seed}, {walkers} people: {found}");
     }
 }
