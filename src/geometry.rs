@@ -6,7 +6,7 @@
 use std::f64::consts::{PI, TAU};
 use std::ops::Mul;
 
-use nalgebra::{Matrix3, Vector2};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// A point or a displacement in the plane, metres.
 pub type Point = Vector2<f64>;
@@ -72,6 +72,11 @@ impl Pose2 {
         let (sin, cos) = self.theta.sin_cos();
         let (dx, dy) = (other.x - self.x, other.y - self.y);
         Self::new(cos * dx + sin * dy, cos * dy - sin * dx, other.theta - self.theta)
+    }
+
+    /// By what `other` differs from `self`, coordinate by coordinate: m, m, and rad in (-pi, pi].
+    pub fn difference(&self, other: &Self) -> Vector3<f64> {
+        Vector3::new(other.x - self.x, other.y - self.y, wrap_angle(other.theta - self.theta))
     }
 
     /// The pose at `fraction` of the way from `self` (0) to `other` (1), positions on the straight line and the heading on the

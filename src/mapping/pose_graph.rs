@@ -18,7 +18,7 @@ use std::ops::Range;
 use nalgebra::{Matrix3, Vector3};
 
 use super::sparse::Pattern;
-use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
+use crate::geometry::{Pose2, PoseCovariance};
 
 /// An error of more than this, in standard deviations, is less likely noise than a mistake.
 const KERNEL_SIGMAS: f64 = 3.0;
@@ -243,8 +243,7 @@ fn stepped(pose: &Pose2, step: &Vector3<f64>) -> Pose2 {
 
 /// What the motion from `a` to `b` has beyond `motion`.
 fn error(a: &Pose2, b: &Pose2, motion: &Pose2) -> Vector3<f64> {
-    let found = a.between(b);
-    Vector3::new(found.x - motion.x, found.y - motion.y, wrap_angle(found.theta - motion.theta))
+    motion.difference(&a.between(b))
 }
 
 /// Of the error, by `a` and by `b`.
@@ -274,6 +273,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     use super::*;
+    use crate::geometry::wrap_angle;
 
     fn poses() -> impl Strategy<Value = Pose2> {
         (-20.0..20.0, -20.0..20.0, -3.0..3.0).prop_map(|(x, y, theta)| Pose2::new(x, y, theta))

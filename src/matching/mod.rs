@@ -22,8 +22,6 @@ mod tests;
 use std::f64::consts::FRAC_PI_2;
 use std::sync::Arc;
 
-use nalgebra::Vector3;
-
 use crate::geometry::{Point, Pose2, PoseCovariance, wrap_angle};
 use crate::scan::Scan;
 use classic::ClosestPoint;
@@ -154,7 +152,7 @@ pub struct Prior {
 impl Prior {
     /// How far a pose is from this one, in standard deviations (Mahalanobis 1936).
     pub(crate) fn deviation(&self, pose: &Pose2) -> f64 {
-        let offset = Vector3::new(pose.x - self.pose.x, pose.y - self.pose.y, wrap_angle(pose.theta - self.pose.theta));
+        let offset = self.pose.difference(pose);
         self.covariance.try_inverse().map_or(0.0, |information| offset.dot(&(information * offset)).sqrt())
     }
 }

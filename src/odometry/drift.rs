@@ -6,11 +6,11 @@
 //! Lagrange multipliers. A path that has drifted in one bad corner is turned there, and not bent all along. It is what a pose
 //! graph comes to for one path and one loop that is sure, in closed form.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 
 use super::placement::Placement;
 use super::uncertainty::way_by_heading;
-use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
+use crate::geometry::{Pose2, PoseCovariance};
 
 /// Levers turn with the path: so many times the errors are found anew. Of a drift of a metre and 0.1 rad less than a millimetre is left.
 const ROUNDS: usize = 3;
@@ -30,13 +30,11 @@ pub(super) fn put_right<'a>(path: impl Iterator<Item = &'a mut Placement>, end: 
 /// Covariance of the end of a path, as its steps add up to it.
 pub(super) fn covariance<'a>(path: impl Iterator<Item = &'a Placement> + Clone) -> PoseCovariance {
     let Some(end) = path.clone().last().map(|place| place.map_from_laser) else { return PoseCovariance::zeros() };
-    path.map(|place| of_step(place, &end)).sum()
-}
-
-/// What a step's error adds to the covariance of the end.
-fn of_step(place: &Placement, end: &Pose2) -> PoseCovariance {
-    let lever = lever(&place.map_from_laser, end);
-    lever * place.step_covariance * lever.transpose()
+    let of_step = |place: &Placement| {
+        let lever = lever(&place.map_from_laser, &end);
+        lever * place.step_covariance * lever.transpose()
+    };
+    path.map(of_step).sum()
 }
 
 /// What an error at a place makes of the end.
@@ -47,9 +45,8 @@ fn lever(from: &Pose2, end: &Pose2) -> Matrix3<f64> {
 /// Gives each step its share of what is between the path's last place and `end`, as if levers stayed as they are.
 fn move_end(path: &mut [&mut Placement], end: &Pose2) {
     let Some(last) = path.last().map(|place| place.map_from_laser) else { return };
-    let drift = Vector3::new(end.x - last.x, end.y - last.y, wrap_angle(end.theta - last.theta));
-    let Some(information) = path.iter().map(|place| of_step(place, &last)).sum::<Matrix3<f64>>().try_inverse() else { return };
-    let multipliers = information * drift;
+    let Some(information) = covariance(path.iter().map(|place| &**place)).try_inverse() else { return };
+    let multipliers = information * last.difference(end);
     let mut moved = Pose2::IDENTITY;
     for Placement { map_from_laser, step_covariance, .. } in path.iter_mut().map(|place| &mut **place) {
         let error = *step_covariance * lever(map_from_laser, &last).transpose() * multipliers;

@@ -183,16 +183,21 @@ impl LocalMap {
         self.way() - recognised.way.max(self.held_until)
     }
 
+    /// Way to where that began, m.
+    fn free_since(&self, recognised: &Unrecognised) -> f64 {
+        self.way() - self.free_way(recognised)
+    }
+
     /// Covariance of where the path has drifted to on the free way, in the map frame.
     pub(super) fn drift_covariance(&self, recognised: &Unrecognised) -> PoseCovariance {
-        let start = self.way() - self.free_way(recognised);
+        let start = self.free_since(recognised);
         drift::covariance(self.keyframes.iter().filter(|keyframe| keyframe.way > start).map(|keyframe| &keyframe.place))
     }
 
     /// The path has drifted on the free way, and is put right: the last keyframe was taken at `map_from_laser`; for those before it
     /// follows from how sure their steps are.
     pub(super) fn correct(&mut self, recognised: &Unrecognised, map_from_laser: &Pose2) {
-        let start = self.way() - self.free_way(recognised);
+        let start = self.free_since(recognised);
         let drifted = self.keyframes.iter_mut().filter(|keyframe| keyframe.way > start);
         drift::put_right(drifted.map(|keyframe| &mut keyframe.place), map_from_laser);
     }

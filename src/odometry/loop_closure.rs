@@ -8,9 +8,9 @@
 
 use std::ops::RangeInclusive;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 
-use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::SearchWindow;
 
 /// How far a path may have drifted per metre: that far the earlier keyframes are looked for, m ...
@@ -67,7 +67,7 @@ impl Sighting {
     /// seen from the earlier keyframes; so many times that where the two contradict one another (Mehra 1970).
     pub(super) fn weighed(&self, drift: &PoseCovariance) -> (Pose2, PoseCovariance) {
         let Pose2 { x, y, theta } = self.by_path;
-        let offset = Vector3::new(self.by_earlier.x - x, self.by_earlier.y - y, wrap_angle(self.by_earlier.theta - theta));
+        let offset = self.by_path.difference(&self.by_earlier);
         // I (D I + E)^-1 is (D + I^-1)^-1, also where the information has no inverse.
         let of_both = |drift: &PoseCovariance| {
             let inverse = (drift * self.information + Matrix3::identity()).try_inverse();
@@ -133,6 +133,8 @@ fn is_within(a: &Pose2, b: &Pose2, distance: f64, angle: f64) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
 
     fn sighting(way: f64, drift: Pose2) -> Sighting {

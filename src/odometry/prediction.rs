@@ -1,8 +1,6 @@
 //! A motion that is expected, with its covariance.
 
-use nalgebra::Vector3;
-
-use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
+use crate::geometry::{Pose2, PoseCovariance};
 
 /// A motion of the base that is expected, seen from its start.
 #[derive(Clone, Copy)]
@@ -24,8 +22,8 @@ impl Prediction {
         let Some(information) = sum.try_inverse() else { return *self };
         let gain = self.covariance * information;
         let (a, b) = (self.motion, other.motion);
-        let change = gain * Vector3::new(b.x - a.x, b.y - a.y, wrap_angle(b.theta - a.theta));
-        let motion = Pose2::new(a.x + change.x, a.y + change.y, wrap_angle(a.theta + change.z));
+        let change = gain * a.difference(&b);
+        let motion = Pose2::new(a.x + change.x, a.y + change.y, a.theta + change.z);
         Self { motion, covariance: self.covariance - gain * self.covariance }
     }
 }

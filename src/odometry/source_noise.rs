@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 
 use super::prediction::Prediction;
 use super::registration::Disbelieved;
-use crate::geometry::{Pose2, wrap_angle};
+use crate::geometry::Pose2;
 
 /// A source whose last steps err by three times what its model claims is worth next to nothing.
 const DISBELIEVED: f64 = 9.0;
@@ -92,8 +92,7 @@ impl Prediction {
 
 /// By how much a motion differs from the one that was said: m, m, rad, along the axes of its start.
 pub(super) fn offset(said: &Prediction, found: &Pose2) -> Vector3<f64> {
-    let Pose2 { x, y, theta } = said.motion;
-    Vector3::new(found.x - x, found.y - y, wrap_angle(found.theta - theta))
+    said.motion.difference(found)
 }
 
 /// Standard deviations, in the mean over the coordinates, of a motion from the one that was said.
