@@ -1,7 +1,7 @@
-//! Instructions of one match, counted by callgrind: figures that no other program spoils, held against `benches/instructions.csv` where
-//! that was written with the same compiler for the same instruction set. The profile `counted` compiles the library in one part, so that
-//! only what a change touches moves:
-//! `cargo test --profile counted --no-default-features --bench instructions`; `UPDATE_GOLDEN=1` renews the file.
+//! Instructions of one match, counted by callgrind, so that other programs have no influence. They are compared with
+//! `benches/instructions.csv` if that was written with the same compiler for the same instruction set. The profile `counted` compiles the
+//! library as one codegen unit, so that a change affects only the figures of the code it touches:
+//! `cargo test --profile counted --no-default-features --bench instructions`; `UPDATE_GOLDEN=1` updates the file.
 #![allow(missing_docs, clippy::panic, clippy::unwrap_used, clippy::print_stdout, clippy::print_stderr)]
 
 mod walk;
@@ -12,19 +12,19 @@ use std::path::Path;
 use std::process::{Command, ExitCode, Output};
 use std::{env, fs};
 
-use anytime_scan_matcher::matching::classic::correspondence::Correspondence;
+use anytime_scan_matcher::matching::classic::correspondence::CorrespondenceKind;
 use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
 use fearless_simd::Level;
 use walk::{LASERS, Laser, Pair, match_pair, walk};
 
-/// Matches that each figure is the mean of.
+/// Each figure is the mean of this many matches.
 const MATCHES: u32 = 20;
-/// A figure that differs by more than this part from the one kept is a change that someone should know of.
+/// Maximum relative difference from the stored figure. A larger change should be noticed and accepted by a person.
 const TOLERANCE: f64 = 0.03;
-/// First argument of the runs that are counted.
+/// First argument of the runs whose instructions are counted.
 const COUNTED: &str = "--counted";
-/// Argument of the run that says for which instruction set the matcher chooses its code.
+/// Argument of the run that prints the instruction set for which the matcher chooses its code.
 const LEVEL: &str = "--level";
 const STAGES: [&str; 3] = ["view", "projective", "jump_table"];
 
@@ -43,10 +43,10 @@ fn main() -> ExitCode {
     }
 }
 
-/// The program that is counted: of it only [`counted`].
+/// The program that runs under callgrind; only the instructions in [`counted`] count.
 fn run(stage: &str, beams: usize) {
     let (degrees, _) = LASERS.into_iter().find(|laser| laser.1 == beams).unwrap();
-    let correspondence = if stage == "jump_table" { Correspondence::JumpTable } else { Correspondence::Projective };
+    let correspondence = if stage == "jump_table" { CorrespondenceKind::JumpTable } else { CorrespondenceKind::Projective };
     let mut matcher = Matcher::new(&MatchingKnobs { correspondence, ..MatchingKnobs::default() }, &RejectionKnobs::default());
     let pairs = walk(Laser::with_field_of_view(degrees, beams), MATCHES + 1);
     match_pair(&mut matcher, &pairs[MATCHES as usize], true);
@@ -64,24 +64,24 @@ fn counted(stage: &str, matcher: &mut Matcher, pair: &Pair) {
     }
 }
 
-/// Runs this program on valgrind's processor.
+/// Runs this program under valgrind.
 fn valgrind(tool: &[&str], arguments: &[&str]) -> Output {
     Command::new("valgrind").args(tool).arg(env::current_exe().unwrap()).args(arguments).output().unwrap()
 }
 
-/// Whether this is the profile that the figures are of: cargo has a folder for each, and programs in `deps` in it.
+/// Whether this program was built with the profile `counted`: cargo has a folder for each profile, with the programs in its `deps`.
 fn is_counted_profile() -> bool {
     env::current_exe().unwrap().ancestors().nth(2).is_some_and(|profile| profile.ends_with("counted"))
 }
 
-/// What the figures hang on beside the code: instruction set and compiler.
-fn circumstances() -> String {
+/// What the figures depend on besides the code: instruction set and compiler.
+fn environment() -> String {
     let level = String::from_utf8(valgrind(&["--tool=none"], &[LEVEL]).stdout).unwrap();
     let compiler = String::from_utf8(Command::new("rustc").arg("--version").output().unwrap().stdout).unwrap();
     format!("# {}, {}", level.split('(').next().unwrap().trim(), compiler.trim())
 }
 
-/// Instructions of one match.
+/// Mean number of instructions of one match.
 fn count(stage: &str, beams: usize) -> f64 {
     let tool = ["--tool=callgrind", "--callgrind-out-file=/dev/null", "--toggle-collect=*counted*"];
     let output = valgrind(&tool, &[COUNTED, stage, &beams.to_string()]);
@@ -92,16 +92,16 @@ fn count(stage: &str, beams: usize) -> f64 {
 
 fn check() -> ExitCode {
     if !is_counted_profile() {
-        eprintln!("SKIPPED: instructions are counted with --profile counted --no-default-features");
+        eprintln!("SKIPPED: instructions are only counted with --profile counted --no-default-features");
         return ExitCode::SUCCESS;
     }
     if Command::new("valgrind").arg("--version").output().is_err() {
-        eprintln!("SKIPPED: valgrind is not installed; no instructions are counted");
+        eprintln!("SKIPPED: instructions are not counted because valgrind is not installed");
         return ExitCode::SUCCESS;
     }
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/instructions.csv");
     let kept = fs::read_to_string(&file).unwrap_or_default();
-    let here = circumstances();
+    let here = environment();
     let mut found = format!("{here}\nstage,beams,instructions\n");
     let mut differ = 0;
     for stage in STAGES {
@@ -120,11 +120,11 @@ fn check() -> ExitCode {
         return ExitCode::SUCCESS;
     }
     if let Some(there) = kept.lines().next().filter(|there| *there != here) {
-        eprintln!("SKIPPED: these figures ({here}) cannot be held against those of {} ({there})", file.display());
+        eprintln!("SKIPPED: these figures ({here}) cannot be compared with those of {} ({there})", file.display());
         return ExitCode::SUCCESS;
     }
     if differ > 0 {
-        eprintln!("{differ} figures differ by more than {TOLERANCE} from {}: UPDATE_GOLDEN=1 renews them", file.display());
+        eprintln!("{differ} figures differ by more than {TOLERANCE} from {}: UPDATE_GOLDEN=1 updates them", file.display());
     }
     ExitCode::from(u8::from(differ > 0))
 }

@@ -1,6 +1,6 @@
-//! Latency of an interrupt through shared memory: from the controller's request to the answer in its hands.
+//! Latency of an interrupt through shared memory: from the controller's request until it has read the answer.
 //!
-//! Criterion reports means of many; what a controller cares about are the quantiles of single requests, printed after each.
+//! Criterion reports means over many requests. A controller depends on the quantiles of single requests, which are printed after each.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 use std::hint;
@@ -13,9 +13,10 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// A scan is worked on for at most this many slices: about as long as a scanner of 40 Hz allows.
+/// Maximum number of slices of work on a scan: about the period of a 40 Hz laser.
 const SLICES: u32 = 300;
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Timeout for an answer.
+const TIMEOUT: Duration = Duration::from_secs(10);
 
 fn spin_for(time: Duration) {
     let start = Instant::now();
@@ -24,7 +25,7 @@ fn spin_for(time: Duration) {
     }
 }
 
-/// Works on one scan after the other, and looks for requests after every slice.
+/// Works on one scan after the other, and checks for requests after every slice.
 fn work(responder: &Responder, slice: Duration, stop: &AtomicBool) {
     while !stop.load(Ordering::Relaxed) {
         responder.begin();
@@ -55,11 +56,11 @@ fn bench_requests(criterion: &mut Criterion, name: &str, slice: Option<Duration>
             bencher.iter_custom(|iterations| {
                 (0..iterations)
                     .map(|_| {
-                        // At no particular moment of a slice, and not before the other side has gone to sleep.
+                        // At a random time within a slice, and not before the other side has gone to sleep.
                         thread::sleep(Duration::from_micros(rng.random_range(50..300)));
                         let start = Instant::now();
                         let request = client.request();
-                        client.wait_for_answer(request, PATIENCE).unwrap();
+                        client.wait_for_answer(request, TIMEOUT).unwrap();
                         let latency = start.elapsed();
                         latencies.push(latency);
                         latency

@@ -1,6 +1,6 @@
-//! Every single match timed, another pair at every call, preparation of both scans included: what a mean of batches does not say is how
-//! long the slow ones take. Beside the times as they are stand those of each pair's fastest of some calls: what is left is the
-//! matcher's own, and not what the machine did meanwhile.
+//! Times every single match, with another pair at every call and including the preparation of both scans, because a mean over batches
+//! hides how long the slow matches take. Next to the times of all calls it prints those of each pair's fastest call, which exclude what
+//! the machine did meanwhile.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout)]
 
 mod walk;
@@ -8,22 +8,23 @@ mod walk;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use anytime_scan_matcher::matching::classic::correspondence::Correspondence;
+use anytime_scan_matcher::matching::classic::correspondence::CorrespondenceKind;
 use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
 use anytime_scan_matcher::quantile::quantile;
 use walk::{LASERS, Laser, match_pair, walk};
 
-/// Calls for each pair.
+/// Timed calls for each pair.
 const ROUNDS: usize = 5;
-/// Beams of all scans together, so that none takes too long.
+/// Beams of all pairs of a laser together, which limits the number of pairs of lasers with many beams.
 const BEAMS: usize = 2_000_000;
 
 fn main() {
     println!("             matcher  beams  pairs |  median     p99  ratio | fastest of {ROUNDS}: median     p99  ratio   [us]");
-    for (name, correspondence, with_covariance) in
-        [("covariance included", Correspondence::Projective, true), ("classic, without", Correspondence::JumpTable, false)]
-    {
+    for (name, correspondence, with_covariance) in [
+        ("covariance included", CorrespondenceKind::Projective, true),
+        ("classic, without", CorrespondenceKind::JumpTable, false),
+    ] {
         for (degrees, beams) in LASERS {
             let knobs = MatchingKnobs { correspondence, ..MatchingKnobs::default() };
             let pairs = (BEAMS / beams).min(2000);
@@ -33,7 +34,7 @@ fn main() {
     }
 }
 
-/// Of all calls, and of the fastest for each pair.
+/// The times of all calls, and of the fastest call for each pair.
 fn times(knobs: &MatchingKnobs, laser: Laser, pairs: usize, with_covariance: bool) -> (Vec<Duration>, Vec<Duration>) {
     let mut matcher = Matcher::new(knobs, &RejectionKnobs::default());
     let pairs = walk(laser, u32::try_from(pairs).unwrap());
@@ -54,7 +55,7 @@ fn times(knobs: &MatchingKnobs, laser: Laser, pairs: usize, with_covariance: boo
 }
 
 fn figures(mut times: Vec<Duration>) -> String {
-    let mut at = |share: f64| 1e6 * quantile(&mut times, share, Duration::cmp).unwrap().as_secs_f64();
+    let mut at = |fraction: f64| 1e6 * quantile(&mut times, fraction, Duration::cmp).unwrap().as_secs_f64();
     let (median, p99) = (at(0.5), at(0.99));
     format!("{median:>7.1} {p99:>7.1} {:>6.2}", p99 / median)
 }

@@ -1,5 +1,5 @@
-//! Time of one update of the particle filter on one core: 4000 particles, 60 beams, on a real map. In processor time:
-//! what other programs take away does not count.
+//! Time of one update of the particle filter on one core: 4000 particles, 60 beams, on a real map. Measured in processor time, which
+//! excludes other programs.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stderr)]
 
 #[path = "../tests/common/mod.rs"]
@@ -10,8 +10,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::{Clock, ProcessorClock};
-use anytime_scan_matcher::anytime::interrupt::Never;
-use anytime_scan_matcher::app::Answering as _;
+use anytime_scan_matcher::anytime::interrupt::NeverInterrupt;
+use anytime_scan_matcher::app::ScanProcessor as _;
 use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::io::map_file;
@@ -20,7 +20,7 @@ use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simula
 use anytime_scan_matcher::simulation::scene::Scene;
 use common::shared;
 
-/// Updates of a drive: a benchmark of the same update again and again would find everything in the cache.
+/// Times the updates of a drive. Repeating one update would find everything in the cache.
 fn main() {
     let Some(path) = shared("data/maps/levine.yaml") else { return };
     let map = map_file::read(&path).unwrap();
@@ -42,8 +42,8 @@ fn main() {
                 }
                 SimulatedMessage::Scan(scan) => {
                     let start = ProcessorClock.now();
-                    localizer.on_scan(&scan, Duration::ZERO, &Never).belief.unwrap();
-                    localizer.maintain(&Never);
+                    localizer.on_scan(&scan, Duration::ZERO, &NeverInterrupt).belief.unwrap();
+                    localizer.maintain(&NeverInterrupt);
                     times.push(ProcessorClock.now().saturating_sub(start));
                 }
             }
@@ -51,7 +51,7 @@ fn main() {
         })
         .unwrap();
         times.sort_unstable();
-        let [least, median, p99, most] = [0, 50, 99, 100].map(|percent| times[(times.len() - 1) * percent / 100]);
-        eprintln!("{}: {} updates, least {least:?}, p50 {median:?}, p99 {p99:?}, max {most:?}", method.name(), times.len());
+        let [min, median, p99, max] = [0, 50, 99, 100].map(|percent| times[(times.len() - 1) * percent / 100]);
+        eprintln!("{}: {} updates, min {min:?}, p50 {median:?}, p99 {p99:?}, max {max:?}", method.name(), times.len());
     }
 }

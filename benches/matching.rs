@@ -1,4 +1,4 @@
-//! Time of one match, reference preparation included: a new pair at every call, so that branch prediction learns nothing.
+//! Time of one match, including the preparation of the reference, with a new pair at every call so that branch prediction cannot learn it.
 #![allow(missing_docs, clippy::unwrap_used)]
 
 mod walk;
@@ -6,7 +6,7 @@ mod walk;
 use std::hint::black_box;
 
 use anytime_scan_matcher::geometry::{Point, Pose2};
-use anytime_scan_matcher::matching::classic::correspondence::Correspondence;
+use anytime_scan_matcher::matching::classic::correspondence::CorrespondenceKind;
 use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::solver::{QuadraticForm, SolverKind};
 use anytime_scan_matcher::matching::{FirstGuess, Matcher, MatchingKnobs, SearchWindow};
@@ -25,9 +25,9 @@ fn bench_match(criterion: &mut Criterion, group: &str, knobs: &MatchingKnobs, wi
     }
 }
 
-/// What a match is made of, by the number of beams: the reference's surfaces, one iteration with all rays, the whole.
+/// The stages of a match, by the number of beams: surfaces of the reference, one iteration with all rays, the whole match.
 fn bench_by_beams(criterion: &mut Criterion) {
-    let window = SearchWindow { doubtful_agreement: 0.0, ..SearchWindow::default() };
+    let window = SearchWindow { min_agreement: 0.0, ..SearchWindow::default() };
     let once = MatchingKnobs { coarse_rays: 0, max_iterations: 1, ..MatchingKnobs::default() };
     for beams in [100, 200, 500, 1000, 2000, 5000, 10_000] {
         let pairs = walk(Laser::with_field_of_view(270.0, beams), 99);
@@ -51,7 +51,7 @@ fn bench_by_beams(criterion: &mut Criterion) {
     }
 }
 
-/// The step itself, which costs the same whatever the number of pairs.
+/// The solver step, whose cost does not depend on the number of pairs.
 fn bench_solve(criterion: &mut Criterion) {
     let mut form = QuadraticForm::default();
     for i in 0..20 {
@@ -69,17 +69,17 @@ fn benches(criterion: &mut Criterion) {
     bench_by_beams(criterion);
     bench_solve(criterion);
     let variant = |correspondence, solver| MatchingKnobs { correspondence, solver, ..MatchingKnobs::default() };
-    let classic = MatchingKnobs::default();
-    bench_match(criterion, "match", &classic, false);
-    bench_match(criterion, "match_with_covariance", &classic, true);
-    bench_match(criterion, "match_kd_tree", &variant(Correspondence::KdTree, SolverKind::PointToLine), false);
+    let defaults = MatchingKnobs::default();
+    bench_match(criterion, "match", &defaults, false);
+    bench_match(criterion, "match_with_covariance", &defaults, true);
+    bench_match(criterion, "match_kd_tree", &variant(CorrespondenceKind::KdTree, SolverKind::PointToLine), false);
     bench_match(
         criterion,
         "match_levenberg_marquardt",
-        &variant(Correspondence::JumpTable, SolverKind::LevenbergMarquardt),
+        &variant(CorrespondenceKind::JumpTable, SolverKind::LevenbergMarquardt),
         false,
     );
-    bench_match(criterion, "match_point_to_point", &variant(Correspondence::JumpTable, SolverKind::PointToPoint), false);
+    bench_match(criterion, "match_point_to_point", &variant(CorrespondenceKind::JumpTable, SolverKind::PointToPoint), false);
 }
 
 criterion_group! {

@@ -1,6 +1,6 @@
-//! Rays per second of every ray caster on a real map (or a made-up one, where there is none), from a cloud of poses as a particle
-//! filter has it; start-up time and memory are printed first. In processor time, but for the start-up: what other programs take away does
-//! not count.
+//! Rays per second of every ray caster on a real map (or a synthetic one, if that is missing), from a cloud of poses like that of a
+//! particle filter; start-up time and memory are printed first. Measured in processor time, which excludes other programs, except for the
+//! start-up.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stderr, clippy::cast_possible_truncation, clippy::cast_sign_loss)]
 
 #[path = "../tests/common/mod.rs"]
@@ -20,9 +20,9 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// Viewpoints at a time, as the particle filter has it.
+/// Viewpoints per call, as in the particle filter.
 const CHUNK: usize = 256;
-/// Reach of the beams, m.
+/// Maximum range of the beams, m.
 const MAX_RANGE: f64 = 30.0;
 
 fn map() -> OccupancyGrid {
@@ -37,14 +37,14 @@ fn map() -> OccupancyGrid {
     )
 }
 
-/// A pose within walls, in cells.
+/// A random pose indoors, in cells.
 fn indoor_pose(grid: &OccupancyGrid, indoors: &[usize], rng: &mut Pcg64) -> Pose2 {
     let cell = indoors[rng.random_range(0..indoors.len())];
     let (x, y) = ((cell % grid.width()) as f64 + 0.5, (cell / grid.width()) as f64 + 0.5);
     Pose2::new(x, y, uniform(rng, -3.0, 3.0))
 }
 
-/// A cloud of poses, 5 cm and 3 degrees wide: positions in cells.
+/// A cloud of poses with standard deviations of 5 cm and 3 degrees; positions are in cells.
 fn cloud(grid: &OccupancyGrid, indoors: &[usize], poses: usize, rng: &mut Pcg64) -> Vec<Viewpoint> {
     let middle = indoor_pose(grid, indoors, rng);
     (0..poses).map(|_| Viewpoint::new(&(middle * Pose2::new(normal(rng), normal(rng), 0.05 * normal(rng))))).collect()
@@ -54,7 +54,7 @@ fn fan(beams: usize) -> Fan {
     Fan::new((0..beams).map(|i| (i as f64 / (beams - 1) as f64 - 0.5) * 270.0_f64.to_radians()))
 }
 
-/// What it takes to do something so many times.
+/// The processor time of repeating `work` this many times.
 fn processor_time(times: u64, mut work: impl FnMut()) -> Duration {
     let start = ProcessorClock.now();
     (0..times).for_each(|_| work());

@@ -1,6 +1,6 @@
-//! A controller that allows less time the faster it drives, in simulation, without ROS:
+//! A simulated controller that shortens the time budget as it drives faster, without ROS:
 //! `cargo run --release --example controller_with_contracts --no-default-features --features cli`.
-#![allow(clippy::print_stdout)] // an example speaks to its reader
+#![allow(clippy::print_stdout)] // an example prints its results
 
 use std::error::Error;
 use std::sync::Arc;
@@ -8,14 +8,14 @@ use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock};
 use anytime_scan_matcher::anytime::contract::Contract;
-use anytime_scan_matcher::anytime::interrupt::Never;
-use anytime_scan_matcher::app::{Answering as _, App};
+use anytime_scan_matcher::anytime::interrupt::NeverInterrupt;
+use anytime_scan_matcher::app::{App, ScanProcessor as _};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
 
-/// 1 ms at rest, 0.1 ms at 5 m/s; 5 mm are good enough.
+/// The contract at a speed in m/s: a budget of 1 ms at rest and of 0.1 ms from 5 m/s, and an error bound of 5 mm.
 fn contract(speed: f64) -> Contract {
     let budget = (1.0 - 0.18 * speed.abs()).max(0.1);
     Contract {
@@ -28,7 +28,7 @@ fn contract(speed: f64) -> Contract {
 fn main() -> Result<(), Box<dyn Error>> {
     let clock: Arc<dyn Clock> = Arc::new(MonotonicClock::default());
     let mut app = App::new(&Config::default(), Arc::clone(&clock))?;
-    app.warm_up()?; // learns what steps cost on this machine
+    app.warm_up()?; // learns the cost of each step on this machine
 
     let (mut scans, mut late, mut slowest, mut off) = (0, 0, Duration::ZERO, 0.0);
     let mut truth = Vec::new();
@@ -39,14 +39,14 @@ fn main() -> Result<(), Box<dyn Error>> {
             SimulatedMessage::Truth { map_from_base, .. } => truth.push(map_from_base),
             SimulatedMessage::Scan(scan) => {
                 let mut estimate = app.on_scan(&scan, clock.now());
-                // Here the pose would go to whoever steers. `conclude` takes the time.
+                // Here the pose would be handed to the controller. `conclude` stops the clock.
                 app.conclude(&mut estimate);
                 app.set_contract(contract(estimate.registration.twist.vx)); // for the next scan
-                app.maintain(&Never); // what can wait until the answer is out
+                app.maintain(&NeverInterrupt); // work that can wait until the answer is out
                 scans += 1;
                 late += usize::from(!estimate.deadline_met());
                 slowest = slowest.max(estimate.elapsed);
-                // Both from where the car started.
+                // Both poses are relative to the start of the car.
                 let driven = truth.first().zip(truth.last()).map(|(start, now)| start.between(now)).unwrap_or_default();
                 off = driven.between(&estimate.registration.map_from_base()).distance();
             }

@@ -1,5 +1,5 @@
 //! Matches two simulated scans: `cargo run --release --example match_two_scans --no-default-features`.
-#![allow(clippy::print_stdout)] // an example speaks to its reader
+#![allow(clippy::print_stdout)] // an example prints its results
 
 use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
@@ -7,15 +7,15 @@ use anytime_scan_matcher::simulation::pairs::Pairs;
 use anytime_scan_matcher::simulation::random_world::RandomWorld;
 
 fn main() {
-    // A matcher keeps its memory from match to match: make one, use it for all scans.
+    // A matcher reuses its buffers from match to match: make one, and use it for all scans.
     let mut matcher = Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default());
 
-    // Two scans of 1081 beams in a random room, 1 cm of noise, and a guess that is 15 mm and 0.6 degrees off.
+    // Two scans of 1081 beams in a random room, range noise of 1 cm, and an initial guess that is 15 mm and 0.6 degrees off.
     for pair in Pairs::new(RandomWorld::Room, 1081, 1).take(3) {
         matcher.set_reference(&pair.reference);
         let mut refinement = matcher.begin(&pair.sensed, pair.first_guess);
 
-        // An anytime algorithm: `pose` is the best answer at every moment. Here it is refined until there is nothing to gain.
+        // An anytime algorithm: `pose` is the best estimate so far at any time. Here it is refined until it has converged.
         let stopped = loop {
             if let Some(reason) = refinement.refine() {
                 break reason;

@@ -1,5 +1,5 @@
-//! The pose of every scan of a bag: `cargo run --release --example odometry_over_a_bag --no-default-features --features cli [BAG]`.
-#![allow(clippy::print_stdout)] // an example speaks to its reader
+//! Estimates the pose of every scan of a bag: `cargo run --release --example odometry_over_a_bag --no-default-features --features cli [BAG]`.
+#![allow(clippy::print_stdout)] // an example prints its results
 
 use std::error::Error;
 use std::sync::Arc;
@@ -14,10 +14,10 @@ use anytime_scan_matcher::replay::{Source, Topics, replay};
 fn main() -> Result<(), Box<dyn Error>> {
     let path = std::env::args().nth(1).unwrap_or_else(|| "bags/demo.bag".into());
     let bag = Bag::open(path)?;
-    // Laser scans or point clouds; wheel odometry on /odom, if the bag has any; the laser's place from /tf_static.
+    // Laser scans or point clouds; wheel odometry on /odom, if the bag has any; the pose of the laser from /tf_static.
     let topics = Topics::resolve(&bag, "/scan", None)?;
 
-    // Every parameter has a default; this is the way of `--set` and of YAML files.
+    // Every parameter has a default. `--set` and YAML files use the same function.
     let mut config = Config::default();
     config.set("odometry.keyframe_distance", &0.5.into(), "this example")?;
 
@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         &source,
         &mut app,
         &*clock,
-        || {}, // called for every message read: progress
+        || {}, // called for every message read, to show progress
         |_scan, estimate, _app| {
             let pose = estimate.registration.map_from_base();
             if scans % 40 == 0 {

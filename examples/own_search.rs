@@ -1,21 +1,21 @@
-//! A correspondence search of one's own, compared with brute force: `cargo run --release --example own_search --no-default-features`.
+//! A custom correspondence search, compared with brute force: `cargo run --release --example own_search --no-default-features`.
 //!
 //! To make it a value of `matching.correspondence`, move it into the crate: ARCHITECTURE.md, "Where to add what".
-#![allow(clippy::print_stdout)] // an example speaks to its reader
+#![allow(clippy::print_stdout)] // an example prints its results
 
 use anytime_scan_matcher::geometry::Point;
-use anytime_scan_matcher::matching::classic::correspondence::{Correspondence, CorrespondenceSearch, Nearest};
+use anytime_scan_matcher::matching::classic::correspondence::{CorrespondenceKind, CorrespondenceSearch, Nearest};
 use anytime_scan_matcher::matching::classic::reference::Reference;
 use anytime_scan_matcher::simulation::pairs::Pairs;
 use anytime_scan_matcher::simulation::random_world::RandomWorld;
 
-/// Looks at the few rays around the direction of the point. Simple, and not exact: along grazing walls the nearest ray may be farther off.
+/// Searches only a few rays around the direction of the point. Simple, but not exact: at grazing walls the nearest ray may be farther away.
 struct Window {
     rays: usize,
 }
 
 impl CorrespondenceSearch for Window {
-    /// Called once for every reference scan: here would be the place to build tables.
+    /// Called once for every reference scan: a search with tables would build them here.
     fn prepare(&mut self, _reference: &Reference) {}
 
     fn find(&self, reference: &Reference, points: &[Point], max_distance: f64, nearest: &mut [Nearest]) {
@@ -37,7 +37,7 @@ impl CorrespondenceSearch for Window {
 }
 
 fn main() {
-    let Some(mut exact) = Correspondence::Naive.search() else { return };
+    let Some(mut exact) = CorrespondenceKind::Naive.search() else { return };
     let mut own = Window { rays: 3 };
     let mut reference = Reference::default();
     for pair in Pairs::new(RandomWorld::Corridor, 1081, 1).take(3) {
@@ -50,6 +50,6 @@ fn main() {
             search.find(&reference, &points, 0.5, answers);
         }
         let same = answers[0].iter().zip(&answers[1]).filter(|(exact, own)| exact.ray == own.ray).count();
-        println!("{same} of {} partners are the nearest ones", points.len());
+        println!("{same} of {} correspondences are the nearest points", points.len());
     }
 }

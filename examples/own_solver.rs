@@ -1,7 +1,7 @@
-//! A solver of one's own, compared with the closed form: `cargo run --release --example own_solver --no-default-features`.
+//! A custom solver, compared with the closed form: `cargo run --release --example own_solver --no-default-features`.
 //!
 //! To make it a value of `matching.solver`, move it into the crate: ARCHITECTURE.md, "Where to add what".
-#![allow(clippy::print_stdout)] // an example speaks to its reader
+#![allow(clippy::print_stdout)] // an example prints its results
 
 use anytime_scan_matcher::geometry::{Point, Pose2};
 use anytime_scan_matcher::matching::solver::{QuadraticForm, SolverKind};
@@ -11,10 +11,10 @@ fn gauss_newton(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
     let mut pose = *prior;
     for _ in 0..20 {
         let (gradient, hessian) = form.linearize(&pose);
-        let step = hessian.cholesky()?.solve(&-gradient); // `None`: the pairs leave a direction open
-        let moved = |part: f64| Pose2::new(pose.x + part * step.x, pose.y + part * step.y, pose.theta + part * step.z);
-        let parts = (0..10).map(|halvings| 0.5_f64.powi(halvings));
-        match parts.map(moved).find(|next| form.value(next) < form.value(&pose)) {
+        let step = hessian.cholesky()?.solve(&-gradient); // `None`: the pairs leave a direction unconstrained
+        let moved = |scale: f64| Pose2::new(pose.x + scale * step.x, pose.y + scale * step.y, pose.theta + scale * step.z);
+        let scales = (0..10).map(|halvings| 0.5_f64.powi(halvings));
+        match scales.map(moved).find(|next| form.value(next) < form.value(&pose)) {
             Some(next) => pose = next,
             None => break,
         }

@@ -1,6 +1,6 @@
-# To be sourced (bash or zsh), where there is no catkin: rostopic, rosbag and rqt then know this package's messages.
+# Source this file (bash or zsh) if you build without catkin: rostopic, rosbag and rqt then know this package's messages.
 #   . launch/python_messages.sh
-# Makes their Python types in the user's cache, and names the place to Python and the package to ROS.
+# It generates their Python types in the user's cache, and sets PYTHONPATH and ROS_PACKAGE_PATH.
 _source="${BASH_SOURCE[0]:-$0}"
 _package="$(cd "$(dirname "$_source")/.." && pwd)"
 _types="${XDG_CACHE_HOME:-$HOME/.cache}/anytime_scan_matcher/python"

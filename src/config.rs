@@ -1,7 +1,7 @@
-//! The configuration: every module's knobs under one roof.
+//! The configuration: the parameters of all modules.
 //!
-//! A knob is named by its path, `matching.max_iterations` in files and on the command line, `~matching/max_iterations` on the ROS
-//! parameter server. All ways in end in [`Config::set`].
+//! A parameter is named by its path, `matching.max_iterations` in files and on the command line, `~matching/max_iterations` on
+//! the ROS parameter server. All sources set parameters through [`Config::set`].
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -23,49 +23,51 @@ use crate::scan::ScanKnobs;
 use crate::transforms::frame_name;
 
 crate::knobs! {
-    /// Frames.
+    /// Frames and their transforms.
     pub struct FrameKnobs {
-        /// The frame of the map: of `scan_match_location`, and of the particle filter's poses.
+        /// The map frame, of `scan_match_location` and of the particle filter's poses.
         map_frame: String = "map".into();
-        /// The frame in which the pose never jumps: of `icp/odom`. The particle filter: that of the odometry it hears.
+        /// The odometry frame, of `icp/odom`, in which the pose never jumps. The particle filter: the frame of the odometry that
+        /// it subscribes to.
         odom_frame: String = "odom".into();
         /// The robot's frame.
         base_frame: String = "base_link".into();
-        /// Publish the transform from `odom_frame` to `base_frame`; held back while another node publishes a parent of `base_frame`.
-        /// The particle filter: the same from `map_frame` to `odom_frame`.
+        /// Publish the transform from `odom_frame` to `base_frame`; suspended while another node publishes a parent of
+        /// `base_frame`. The particle filter: the same for the transform from `map_frame` to `odom_frame`.
         publish_tf: bool = true;
-        /// The scan matcher: publish the transform from `map_frame` to `odom_frame`; held back while another node publishes a parent of
-        /// `odom_frame`, or odometry of its own in it. The mapper: the same.
+        /// Publish the transform from `map_frame` to `odom_frame` (scan matcher and mapper); suspended while another node
+        /// publishes a parent of `odom_frame`, or odometry in `odom_frame`.
         publish_map_tf: bool = true;
-        /// Predict from what another node's transforms say of `base_frame` in this frame, rather than from anything else; unset: do not.
+        /// Predict from the transform of `base_frame` in this frame that another node publishes, with priority over all other
+        /// sources; unset: do not.
         prediction_frame: Option<String> = None;
     }
 }
 
-/// Names shown for one that is unknown.
+/// Number of similar names shown for an unknown one.
 const NAMES_SHOWN: usize = 3;
 
-/// Why a configuration is refused.
+/// Why a configuration is rejected.
 #[derive(Debug, Error)]
 pub enum ConfigError {
-    /// There is no such knob.
-    #[error("{source_name}: there is no parameter '{path}'{hint}; the nearest are: {nearest} (docs/parameters.md has all)")]
+    /// There is no such parameter.
+    #[error("{source_name}: there is no parameter '{path}'{hint}; the nearest names are: {nearest} (see docs/parameters.md)")]
     UnknownKnob {
         /// Where it was set.
         source_name: String,
         /// Its path.
         path: String,
-        /// The one that may have been meant.
+        /// The name that was probably meant.
         hint: String,
-        /// The nearest names.
+        /// The most similar names.
         nearest: String,
     },
-    /// The value does not fit.
+    /// The value is invalid.
     #[error("{source_name}: {path}: {problem}")]
     BadValue {
         /// Where it was set.
         source_name: String,
-        /// The knob's path.
+        /// The parameter's path.
         path: String,
         /// What was expected and what was found.
         problem: String,
@@ -78,12 +80,12 @@ pub enum ConfigError {
         /// The system's reason.
         error: std::io::Error,
     },
-    /// The text is no YAML mapping.
+    /// The text is not a YAML mapping.
     #[error("{source_name}: {problem}")]
     BadYaml {
-        /// Where the text is from.
+        /// The source of the text.
         source_name: String,
-        /// What is wrong, with its line.
+        /// The problem, with its line.
         problem: String,
     },
     /// An assignment on the command line has no `=`.
@@ -94,10 +96,10 @@ pub enum ConfigError {
     },
 }
 
-/// All knobs.
+/// All parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Config {
-    /// Frames; these knobs have no prefix.
+    /// Frames; these parameters have no prefix.
     pub frames: FrameKnobs,
     /// `contract.*`
     pub contract: ContractKnobs,
@@ -155,7 +157,7 @@ impl Config {
         }
     }
 
-    /// Path and description of every knob.
+    /// Path and description of every parameter.
     pub fn table(&self) -> Vec<(String, KnobInfo)> {
         let in_group = |(group, knobs): (&str, &dyn KnobGroup)| {
             let path = move |knob: &KnobInfo| if group.is_empty() { knob.name.into() } else { format!("{group}.{}", knob.name) };
@@ -164,10 +166,10 @@ impl Config {
         self.groups().into_iter().flat_map(in_group).collect()
     }
 
-    /// Refuses frames without a name, and two that would be each other's parent.
+    /// Rejects frames without a name, and frames that would be their own parent.
     pub fn check_frames(&self, source_name: &str) -> Result<(), ConfigError> {
         let FrameKnobs { map_frame, odom_frame, base_frame, publish_map_tf, prediction_frame, .. } = &self.frames;
-        let refused = |path: &str, problem: String| {
+        let rejected = |path: &str, problem: String| {
             Err(ConfigError::BadValue { source_name: source_name.into(), path: path.into(), problem })
         };
         let prediction = prediction_frame.as_deref();
@@ -179,7 +181,7 @@ impl Config {
         ];
         for (path, name) in named {
             if name.is_some_and(|name| frame_name(name).trim().is_empty()) {
-                return refused(path, "it is empty: a frame needs a name, such as 'odom'; without a slash before it".into());
+                return rejected(path, "it is empty: a frame needs a name without a leading slash, such as 'odom'".into());
             }
         }
         let clash = |a: &str, b: &str| frame_name(a) == frame_name(b);
@@ -187,44 +189,46 @@ impl Config {
             [("map_frame", Some(&**map_frame)), ("odom_frame", Some(odom_frame)), ("prediction_frame", prediction)]
         {
             if name.is_some_and(|name| clash(name, base_frame)) {
-                return refused(
+                return rejected(
                     path,
-                    format!("it is '{base_frame}', as base_frame is: the robot moves in it, so give the two different names"),
+                    format!(
+                        "it is '{base_frame}', as base_frame is: the robot moves in this frame, so give the two frames different names"
+                    ),
                 );
             }
         }
         if *publish_map_tf && clash(map_frame, odom_frame) {
-            let remedy = "give the two different names, or set publish_map_tf to false";
-            return refused(
+            let remedy = "give the two frames different names, or set publish_map_tf to false";
+            return rejected(
                 "odom_frame",
-                format!("it is '{odom_frame}', as map_frame is, and no frame is its own parent: {remedy}"),
+                format!("it is '{odom_frame}', as map_frame is, and a frame cannot be its own parent: {remedy}"),
             );
         }
         Ok(())
     }
 
-    /// Settings that change nothing beside the others, in words.
+    /// Describes the settings that have no effect in combination with others.
     pub fn warnings(&self) -> Vec<String> {
         let MatchingKnobs { correspondence, solver, .. } = &self.matching;
         let (searched, solved) = (correspondence.name(), solver.name());
-        let unserved = (!correspondence.serves(*solver)).then(|| {
+        let unsupported = (!correspondence.supports(*solver)).then(|| {
             format!(
-                "matching.solver {solved} changes nothing with matching.correspondence {searched}: its pairs are of points with lines, \
-                 and point_to_line solves for them; for points with points set matching.correspondence to jump_table"
+                "matching.solver {solved} has no effect with matching.correspondence {searched}, which pairs points with lines: \
+                 the solver is point_to_line; to match points with points, set matching.correspondence to jump_table"
             )
         });
         let is_classic = correspondence.search().is_some();
         let of_classic = |path: &String| path.starts_with("rejection.") || path == "matching.max_correspondence_distance";
         let idle = self.changes().into_iter().map(|(path, _)| path).filter(|path| !is_classic && of_classic(path)).map(|path| {
             format!(
-                "{path} changes nothing with matching.correspondence {searched}, which weighs its pairs and leaves none out; for classic \
-                 PL-ICP set matching.correspondence to jump_table"
+                "{path} has no effect with matching.correspondence {searched}, which weights its pairs and rejects none; for classic \
+                 PL-ICP, set matching.correspondence to jump_table"
             )
         });
-        unserved.into_iter().chain(idle).collect()
+        unsupported.into_iter().chain(idle).collect()
     }
 
-    /// The knobs that are not at their defaults, with their values.
+    /// The parameters that differ from their defaults, with their values.
     pub fn changes(&self) -> Vec<(String, Value)> {
         let changed = |(path, knob): (String, KnobInfo)| {
             let (group, _) = path.rsplit_once('.').unwrap_or_default();
@@ -234,14 +238,14 @@ impl Config {
         self.table().into_iter().filter_map(changed).collect()
     }
 
-    /// Sets one knob. `source_name` says in errors where the value comes from.
+    /// Sets one parameter. `source_name` names the source of the value in errors.
     pub fn set(&mut self, path: &str, value: &Value, source_name: &str) -> Result<(), ConfigError> {
         let (group, name) = path.rsplit_once('.').unwrap_or(("", path));
         let outcome = self.group_mut(group).and_then(|knobs| knobs.set(name, value));
-        judge(outcome, path, source_name, || self.table().into_iter().map(|(path, _)| path).collect())
+        to_result(outcome, path, source_name, || self.table().into_iter().map(|(path, _)| path).collect())
     }
 
-    /// Sets every knob of a tree of mappings, such as a YAML document or the private parameters of a node.
+    /// Sets every parameter of a tree of mappings, such as a YAML document or the private parameters of a node.
     pub fn set_tree(&mut self, tree: &Value, source_name: &str) -> Result<(), ConfigError> {
         match tree {
             Value::Null => Ok(()),
@@ -261,48 +265,48 @@ impl Config {
         Ok(())
     }
 
-    /// Sets the knobs of a YAML text.
+    /// Sets the parameters of a YAML text.
     pub fn set_yaml(&mut self, text: &str, source_name: &str) -> Result<(), ConfigError> {
         self.set_tree(&parse_yaml(text, source_name)?, source_name)
     }
 
-    /// Sets the knobs of a YAML file.
+    /// Sets the parameters of a YAML file.
     pub fn set_file(&mut self, path: &Path) -> Result<(), ConfigError> {
         let name = path.display().to_string();
         let text = std::fs::read_to_string(path).map_err(|error| ConfigError::Unreadable { path: name.clone(), error })?;
         self.set_yaml(&text, &name)
     }
 
-    /// Sets one knob from `NAME=VALUE`, the value in YAML.
+    /// Sets one parameter from `NAME=VALUE`, with the value in YAML.
     pub fn set_assignment(&mut self, text: &str) -> Result<(), ConfigError> {
         let (path, value) = text.split_once('=').ok_or_else(|| ConfigError::BadAssignment { text: text.into() })?;
         let source_name = format!("--set {text}");
         self.set(path.trim(), &parse_yaml(value.trim(), &source_name)?, &source_name)
     }
 
-    /// The table of parameters for people, in Markdown.
+    /// The table of all parameters in Markdown.
     pub fn markdown_table(&self) -> String {
-        let mut text = String::from("| parameter | default | takes | unit | what |\n|---|---|---|---|---|\n");
+        let mut text = String::from("| parameter | default | values | unit | description |\n|---|---|---|---|---|\n");
         for (path, knob) in self.table() {
             let default = if knob.default.is_null() { "unset".into() } else { knob.default.to_string() };
-            let takes = knob.accepts.replace('|', "\\|");
-            let _ = writeln!(text, "| `{path}` | `{default}` | {takes} | {} | {} |", knob.unit, knob.help);
+            let values = knob.accepts.replace('|', "\\|");
+            let _ = writeln!(text, "| `{path}` | `{default}` | {values} | {} | {} |", knob.unit, knob.help);
         }
         text
     }
 }
 
-/// Sets knobs of a group that stands by itself from a mapping of names to values; `null` sets none.
+/// Sets parameters of a single group from a mapping of names to values; `null` sets none.
 pub fn set_group(knobs: &mut dyn KnobGroup, values: &Value, source_name: &str) -> Result<(), ConfigError> {
     for (name, value) in values.as_object().into_iter().flatten() {
         let outcome = knobs.set(name, value);
-        judge(outcome, name, source_name, || knobs.table().iter().map(|knob| knob.name.into()).collect())?;
+        to_result(outcome, name, source_name, || knobs.table().iter().map(|knob| knob.name.into()).collect())?;
     }
     Ok(())
 }
 
-/// The error for what [`KnobGroup::set`] said of a knob, if it was one; `valid` names the knobs there are.
-fn judge(
+/// Converts the outcome of [`KnobGroup::set`] to a result; `valid` lists the existing parameters.
+fn to_result(
     outcome: Option<Result<(), String>>,
     path: &str,
     source_name: &str,
@@ -333,11 +337,11 @@ fn parse_yaml(text: &str, source_name: &str) -> Result<Value, ConfigError> {
 mod tests {
     use super::*;
     use crate::geometry::Pose2;
-    use crate::matching::classic::correspondence::Correspondence;
+    use crate::matching::classic::correspondence::CorrespondenceKind;
     use crate::matching::solver::SolverKind;
 
     #[test]
-    fn every_way_in_sets_the_same_knobs() {
+    fn all_sources_set_the_same_parameters() {
         let mut by_yaml = Config::default();
         by_yaml
             .set_yaml("base_frame: car\nmatching:\n  solver: linearized\n  max_correspondence_distance: 1\ncontract: {time_budget: 5ms}\nodometry:\n  laser_in_base: [0.275, 0, 0]\n", "x.yaml")
@@ -358,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_changed_is_known() {
+    fn changed_parameters_are_listed() {
         let mut config = Config::default();
         assert!(config.changes().is_empty());
         config.set_yaml("base_frame: car\nmatching: {max_iterations: 8, solver: point_to_line}\n", "x.yaml").unwrap();
@@ -366,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_need_names_and_names_of_their_own() {
+    fn frames_need_distinct_names() {
         let problem = |text: &str| {
             let mut config = Config::default();
             config.set_yaml(text, "x.yaml").unwrap();
@@ -375,7 +379,7 @@ mod tests {
         for good in ["{}", "odom_frame: map\npublish_map_tf: false", "prediction_frame: odom", "prediction_frame: ''"] {
             assert_eq!(problem(good), "");
         }
-        for (text, said) in [
+        for (text, expected) in [
             ("map_frame: ''", "x.yaml: map_frame: it is empty"),
             ("odom_frame: /", "x.yaml: odom_frame: it is empty"),
             ("base_frame: ' '", "x.yaml: base_frame: it is empty"),
@@ -385,12 +389,12 @@ mod tests {
             ("map_frame: base_link\npublish_map_tf: false", "x.yaml: map_frame: it is 'base_link', as base_frame is"),
             ("prediction_frame: base_link", "x.yaml: prediction_frame: it is 'base_link'"),
         ] {
-            assert!(problem(text).contains(said), "{text}: {}", problem(text));
+            assert!(problem(text).contains(expected), "{text}: {}", problem(text));
         }
     }
 
     #[test]
-    fn settings_that_change_nothing_are_said() {
+    fn settings_without_effect_are_reported() {
         let warnings = |text: &str| {
             let mut config = Config::default();
             config.set_yaml(text, "x.yaml").unwrap();
@@ -398,26 +402,26 @@ mod tests {
         };
         assert!(warnings("{}").is_empty());
         let points = warnings("matching: {solver: point_to_point}");
-        assert!(points.len() == 1 && points[0].contains("point_to_point changes nothing with"), "{points:?}");
+        assert!(points.len() == 1 && points[0].contains("point_to_point has no effect with"), "{points:?}");
         assert!(points[0].contains("projective") && points[0].contains("jump_table"), "{points:?}");
         let trimmed = warnings("rejection: {trim_percentile: 0.9}");
-        assert!(trimmed.len() == 1 && trimmed[0].starts_with("rejection.trim_percentile changes nothing"), "{trimmed:?}");
+        assert!(trimmed.len() == 1 && trimmed[0].starts_with("rejection.trim_percentile has no effect"), "{trimmed:?}");
         assert!(
             warnings("matching: {solver: point_to_point, correspondence: kd_tree}\nrejection: {trim_percentile: 0.9}").is_empty()
         );
     }
 
     #[test]
-    fn the_file_of_classic_pl_icp_says_what_it_is() {
+    fn the_configuration_file_of_classic_pl_icp_sets_it() {
         let mut config = Config::default();
         config.set_file(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/launch/matcher_plicp.yaml"))).unwrap();
         let MatchingKnobs { correspondence, solver, .. } = config.matching;
-        assert_eq!((correspondence, solver), (Correspondence::JumpTable, SolverKind::PointToLine));
+        assert_eq!((correspondence, solver), (CorrespondenceKind::JumpTable, SolverKind::PointToLine));
         assert!(config.rejection.trim_percentile < 1.0 && config.warnings().is_empty());
     }
 
     #[test]
-    fn mistakes_are_named_with_their_remedy() {
+    fn errors_name_the_problem_and_the_remedy() {
         let mut config = Config::default();
         let message = |result: Result<(), ConfigError>| result.unwrap_err().to_string();
         let typo = message(config.set_yaml("matching:\n  max_iteration: 3\n", "car.yaml"));

@@ -1,6 +1,6 @@
-//! Poses and points of the plane.
+//! Poses and points in the plane.
 //!
-//! A pose named `odom_from_base` takes points of the base frame to the odom frame, so that frames cancel by name:
+//! A pose named `odom_from_base` transforms points from the base frame to the odom frame, so that adjacent frame names cancel:
 //! `odom_from_base * base_from_laser` is `odom_from_laser`.
 
 use std::f64::consts::{PI, TAU};
@@ -8,22 +8,22 @@ use std::ops::Mul;
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// A point or a displacement in the plane, metres.
+/// A point or displacement in the plane, m.
 pub type Point = Vector2<f64>;
 
-/// Covariance of a pose: order x, y, heading; units m^2, m rad, rad^2.
+/// Covariance of a pose in the order x, y, heading; units m^2, m rad, rad^2.
 pub type PoseCovariance = Matrix3<f64>;
 
-/// The angle equal to `angle` in (-pi, pi].
+/// Wraps an angle into (-pi, pi].
 pub fn wrap_angle(angle: f64) -> f64 {
     if angle > -PI && angle <= PI {
-        return angle; // bit for bit: an angle in range must not pick up rounding
+        return angle; // unchanged to the last bit: an angle in range must not be rounded
     }
     let wrapped = angle.rem_euclid(TAU);
     if wrapped > PI { wrapped - TAU } else { wrapped }
 }
 
-/// A turn through 90 degrees, counter-clockwise.
+/// Rotates a vector by 90 degrees counter-clockwise.
 pub fn perpendicular(v: Point) -> Point {
     Point::new(-v.y, v.x)
 }
@@ -40,10 +40,10 @@ pub struct Pose2 {
 }
 
 impl Pose2 {
-    /// The pose that changes nothing.
+    /// The identity.
     pub const IDENTITY: Self = Self { x: 0.0, y: 0.0, theta: 0.0 };
 
-    /// A pose from metres and radians; the heading is wrapped into (-pi, pi].
+    /// Creates a pose from metres and radians; wraps the heading into (-pi, pi].
     pub fn new(x: f64, y: f64, theta: f64) -> Self {
         Self { x, y, theta: wrap_angle(theta) }
     }
@@ -59,14 +59,14 @@ impl Pose2 {
         RigidTransform { cos, sin, x: self.x, y: self.y }
     }
 
-    /// `b_from_a` of `a_from_b`.
+    /// The inverse: `b_from_a` of `a_from_b`.
     #[must_use]
     pub fn inverse(&self) -> Self {
         let (sin, cos) = self.theta.sin_cos();
         Self::new(-cos * self.x - sin * self.y, sin * self.x - cos * self.y, -self.theta)
     }
 
-    /// The motion from `self` to `other`, seen from `self`: `self.inverse() * other`.
+    /// The motion from `self` to `other` in the frame of `self`: `self.inverse() * other`.
     #[must_use]
     pub fn between(&self, other: &Self) -> Self {
         let (sin, cos) = self.theta.sin_cos();
@@ -74,13 +74,13 @@ impl Pose2 {
         Self::new(cos * dx + sin * dy, cos * dy - sin * dx, other.theta - self.theta)
     }
 
-    /// By what `other` differs from `self`, coordinate by coordinate: m, m, and rad in (-pi, pi].
+    /// The difference `other - self` by coordinate: m, m, and rad in (-pi, pi].
     pub fn difference(&self, other: &Self) -> Vector3<f64> {
         Vector3::new(other.x - self.x, other.y - self.y, wrap_angle(other.theta - self.theta))
     }
 
-    /// The pose at `fraction` of the way from `self` (0) to `other` (1), positions on the straight line and the heading on the
-    /// shorter arc. Fractions outside 0..1 extrapolate.
+    /// Interpolates between `self` (fraction 0) and `other` (fraction 1): the position along the straight line, the heading along
+    /// the shorter arc. Fractions outside 0..1 extrapolate.
     #[must_use]
     pub fn interpolate(&self, other: &Self, fraction: f64) -> Self {
         Self::new(
@@ -112,7 +112,7 @@ impl Mul for Pose2 {
     }
 }
 
-/// A [`Pose2`] ready to move many points.
+/// A [`Pose2`] with precomputed sine and cosine, to transform many points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidTransform {
     cos: f64,
@@ -122,13 +122,13 @@ pub struct RigidTransform {
 }
 
 impl RigidTransform {
-    /// The point seen from the outer frame.
+    /// Transforms a point into the parent frame.
     #[inline]
     pub fn apply(&self, p: Point) -> Point {
         Point::new(self.cos * p.x - self.sin * p.y + self.x, self.sin * p.x + self.cos * p.y + self.y)
     }
 
-    /// The direction seen from the outer frame.
+    /// Rotates a direction into the parent frame.
     #[inline]
     pub fn rotate(&self, v: Point) -> Point {
         Point::new(self.cos * v.x - self.sin * v.y, self.sin * v.x + self.cos * v.y)
@@ -147,9 +147,9 @@ pub struct Twist2 {
 }
 
 impl Twist2 {
-    /// The constant twist that makes `motion` (seen from its start) in `seconds`.
-    pub fn of_motion(motion: &Pose2, seconds: f64) -> Self {
-        // Inverse of the arc below: the chord turned back by half the angle and stretched to the arc's length.
+    /// The constant twist that produces `motion` (in its start frame) in `seconds`.
+    pub fn from_motion(motion: &Pose2, seconds: f64) -> Self {
+        // Inverse of `motion` below: the chord rotated back by half the angle and stretched to the length of the arc.
         let half = 0.5 * motion.theta;
         let stretch = if half.abs() < 1e-9 { 1.0 } else { half / half.sin() };
         let (sin, cos) = half.sin_cos();
@@ -160,7 +160,7 @@ impl Twist2 {
         }
     }
 
-    /// The motion this twist makes in `seconds`: an arc of constant curvature.
+    /// The motion of this twist over `seconds`: an arc of constant curvature.
     pub fn motion(&self, seconds: f64) -> Pose2 {
         let half = 0.5 * self.omega * seconds;
         let shrink = if half.abs() < 1e-9 { 1.0 } else { half.sin() / half };
@@ -169,10 +169,10 @@ impl Twist2 {
         Pose2::new(cos * dx - sin * dy, sin * dx + cos * dy, 2.0 * half)
     }
 
-    /// This part of the way from here to another twist; 0: this one, 1: the other.
+    /// Interpolates between `self` (fraction 0) and `other` (fraction 1).
     #[must_use]
-    pub fn towards(&self, other: &Self, part: f64) -> Self {
-        let mixed = |from: f64, to: f64| from + part * (to - from);
+    pub fn interpolate(&self, other: &Self, fraction: f64) -> Self {
+        let mixed = |from: f64, to: f64| from + fraction * (to - from);
         Self { vx: mixed(self.vx, other.vx), vy: mixed(self.vy, other.vy), omega: mixed(self.omega, other.omega) }
     }
 
@@ -205,15 +205,15 @@ mod tests {
         }
 
         #[test]
-        fn interpolation_meets_its_ends(a in poses(), b in poses()) {
+        fn interpolation_starts_and_ends_at_the_given_poses(a in poses(), b in poses()) {
             assert_same(a.interpolate(&b, 0.0), a);
             assert_same(a.interpolate(&b, 1.0), b);
         }
 
         #[test]
-        fn a_twist_repeats_the_motion_it_was_taken_from(x in -2.0..2.0, y in -2.0..2.0, theta in -3.0..3.0, dt in 0.01..1.0) {
+        fn a_twist_reproduces_its_motion(x in -2.0..2.0, y in -2.0..2.0, theta in -3.0..3.0, dt in 0.01..1.0) {
             let motion = Pose2::new(x, y, theta);
-            assert_same(Twist2::of_motion(&motion, dt).motion(dt), motion);
+            assert_same(Twist2::from_motion(&motion, dt).motion(dt), motion);
         }
 
         #[test]

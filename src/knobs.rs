@@ -1,60 +1,61 @@
-//! Knobs: the parameters of the product, each declared once.
+//! Knobs: the parameters of the program, each declared once.
 //!
-//! A module declares its knobs with [`knobs!`](crate::knobs!): name, type, default, range, unit and help on two lines. That one declaration serves
-//! the struct that the code reads, the YAML file, the ROS parameters, `--set` and docs/parameters.md; [`crate::config`] composes
-//! the groups.
+//! A module declares its parameters with [`knobs!`](crate::knobs!): name, type, default, range, unit and help on two lines. From
+//! this single declaration follow the struct that the code reads, the YAML file, the ROS parameters, `--set` and
+//! docs/parameters.md. [`crate::config`] combines the groups.
 
 use std::f64::consts::TAU;
 use std::fmt::Display;
 
-/// A parameter value before it is checked: what YAML, the ROS parameter server and `--set` have in common.
+/// An unchecked parameter value, as read from YAML, the ROS parameter server or `--set`.
 pub type Value = serde_json::Value;
 
-/// What there is to know of one knob.
+/// Description of a parameter.
 #[derive(Clone, Debug)]
 pub struct KnobInfo {
     /// Name within its group.
     pub name: &'static str,
-    /// What it does.
+    /// Help text.
     pub help: &'static str,
-    /// Unit of the value; empty when it has none.
+    /// Unit of the value; empty if it has none.
     pub unit: &'static str,
-    /// The values it takes, in words.
+    /// Description of the accepted values.
     pub accepts: String,
-    /// Value when nothing is set.
+    /// Default value.
     pub default: Value,
 }
 
-/// A struct of knobs, made by [`knobs!`](crate::knobs!).
+/// A group of parameters: a struct declared with [`knobs!`](crate::knobs!).
 pub trait KnobGroup {
-    /// Every knob of the group, in declaration order, with its default.
+    /// All parameters of the group with their defaults, in the order of declaration.
     fn table(&self) -> Vec<KnobInfo>;
-    /// The present value of a knob.
+    /// The current value of a parameter.
     fn get(&self, name: &str) -> Option<Value>;
-    /// Sets a knob. `None`: there is no knob of that name. `Some(Err)`: the value does not fit; the knob keeps its old one.
+    /// Sets a parameter. `None`: there is no parameter of that name. `Some(Err)`: the value is invalid, and the parameter keeps
+    /// its old value.
     fn set(&mut self, name: &str, value: &Value) -> Option<Result<(), String>>;
 }
 
-/// A type that a knob can have.
+/// A type of parameter values.
 pub trait KnobValue: Sized {
-    /// The checked value, or what was expected instead.
+    /// Parses a value; the error states what was expected.
     fn from_value(value: &Value) -> Result<Self, String>;
-    /// The value as it would stand in a file.
+    /// The value as it is written to files.
     fn to_value(&self) -> Value;
-    /// The kind of value in words: `number`, `one of a | b`.
+    /// Description of the type: `number`, `one of a | b`.
     fn kind() -> String;
-    /// The value as a number, for the range check; `None` for kinds without an order.
+    /// The value as a number for the range check; `None` for types without an order.
     fn number(&self) -> Option<f64> {
         None
     }
 }
 
-/// The error for a value of another kind.
+/// The error message for a value of the wrong type.
 pub(crate) fn expected(kind: impl Display, value: &Value) -> String {
     format!("expected {kind}, got {value}")
 }
 
-/// The numbers of a list, where it is one of finite numbers.
+/// The numbers of a list; `None` unless it is a list of finite numbers.
 pub(crate) fn numbers(value: &Value) -> Option<Vec<f64>> {
     value.as_array()?.iter().map(|number| number.as_f64().filter(|number| number.is_finite())).collect()
 }
@@ -86,7 +87,7 @@ impl KnobValue for u32 {
     }
 }
 
-/// A whole number serves too: the ROS parameter server makes one of `1`.
+/// Whole numbers are accepted, too: the ROS parameter server stores `1` as an integer.
 impl KnobValue for f64 {
     fn from_value(value: &Value) -> Result<Self, String> {
         value.as_f64().filter(|v| v.is_finite()).ok_or_else(|| expected(Self::kind(), value))
@@ -114,7 +115,8 @@ impl KnobValue for String {
     }
 }
 
-/// A time span in seconds; read from a number of seconds, or from text with a unit (`5ms`, `200us`) or without, which is seconds too.
+/// A duration in seconds, read from a number of seconds or from text with a unit (`5ms`, `200us`). Text without a unit is in
+/// seconds, too.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
 pub struct Seconds(pub f64);
 
@@ -136,7 +138,7 @@ impl KnobValue for Seconds {
     }
 }
 
-/// Seconds from text. A sign is taken, so that a value below zero is refused for what it is.
+/// Parses seconds from text. A negative sign is accepted here, so that the range check can report the negative value.
 fn seconds(text: &str) -> Result<f64, humantime::DurationError> {
     let (sign, span) = text.trim().strip_prefix('-').map_or((1.0, text.trim()), |span| (-1.0, span));
     let number = span.parse().ok().filter(|number: &f64| number.is_finite());
@@ -144,7 +146,7 @@ fn seconds(text: &str) -> Result<f64, humantime::DurationError> {
     Ok(sign * seconds)
 }
 
-/// Unset is `null` or the text `unset`.
+/// An optional value; `null` and the text `unset` mean that it is not set.
 impl<T: KnobValue> KnobValue for Option<T> {
     fn from_value(value: &Value) -> Result<Self, String> {
         match value {
@@ -164,7 +166,7 @@ impl<T: KnobValue> KnobValue for Option<T> {
     }
 }
 
-/// `[x, y, yaw]`, metres and radians.
+/// A pose as `[x, y, yaw]`, m and rad.
 impl KnobValue for crate::geometry::Pose2 {
     fn from_value(value: &Value) -> Result<Self, String> {
         match numbers(value).as_deref() {
@@ -180,7 +182,7 @@ impl KnobValue for crate::geometry::Pose2 {
     }
 }
 
-/// An angle that a person has written: one of more than a full turn was meant in degrees.
+/// Checks an angle entered by a user, rad: more than a full turn was probably meant in degrees.
 pub(crate) fn radians(angle: f64) -> Result<f64, String> {
     if angle.abs() > TAU {
         return Err(format!("an angle of {angle} is more than a full turn: radians are expected, 90 degrees are 1.5708"));
@@ -188,32 +190,33 @@ pub(crate) fn radians(angle: f64) -> Result<f64, String> {
     Ok(angle)
 }
 
-/// The candidate nearest to a mistyped `name`, if one is near enough to be what was meant.
+/// The candidate most similar to a mistyped `name`, if one is similar enough.
 pub fn nearest_name<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let (similarity, nearest) = by_similarity(name, candidates).into_iter().next()?;
     (similarity > 0.7).then_some(nearest)
 }
 
-/// The `count` candidates nearest to a mistyped `name`, the nearest first.
+/// The `count` candidates most similar to a mistyped `name`, the most similar first.
 pub fn nearest_names<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>, count: usize) -> Vec<&'a str> {
     by_similarity(name, candidates).into_iter().take(count).map(|(_, candidate)| candidate).collect()
 }
 
-/// The most similar first. Of paths, the last parts count alone, too: a group is easily left out.
+/// Candidates with their similarity, the most similar first. The last component of a path is also compared alone, because the
+/// group is easily forgotten.
 fn by_similarity<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Vec<(f64, &'a str)> {
-    fn last(path: &str) -> &str {
+    fn last_component(path: &str) -> &str {
         path.rsplit('.').next().unwrap_or(path)
     }
     let similarity = |candidate: &str| {
-        let of_last_parts = 0.98 * strsim::jaro_winkler(last(name), last(candidate));
-        strsim::jaro_winkler(name, candidate).max(of_last_parts)
+        let by_last_component = 0.98 * strsim::jaro_winkler(last_component(name), last_component(candidate));
+        strsim::jaro_winkler(name, candidate).max(by_last_component)
     };
     let mut similar: Vec<_> = candidates.into_iter().map(|candidate| (similarity(candidate), candidate)).collect();
     similar.sort_by(|a, b| b.0.total_cmp(&a.0));
     similar
 }
 
-/// Declares an enum that a knob can take by name.
+/// Declares an enum whose values a parameter can take by name.
 ///
 /// ```
 /// anytime_scan_matcher::choices! {
@@ -235,10 +238,10 @@ macro_rules! choices {
         pub enum $name { $($(#[doc = $help])* $(#[cfg($condition)])? $variant),+ }
 
         impl $name {
-            /// Every choice, in declaration order.
+            /// All values, in the order of declaration.
             pub const ALL: &'static [Self] = &[$($(#[cfg($condition)])? Self::$variant),+];
 
-            /// The name of the choice in files and parameters.
+            /// The name of the value in files and parameters.
             pub fn name(self) -> &'static str {
                 match self { $($(#[cfg($condition)])? Self::$variant => $text),+ }
             }
@@ -262,13 +265,13 @@ macro_rules! choices {
     };
 }
 
-/// Declares a struct of knobs.
+/// Declares a group of parameters.
 ///
 /// ```
 /// use anytime_scan_matcher::knobs::KnobGroup;
 ///
 /// anytime_scan_matcher::knobs! {
-///     /// How the wheels turn.
+///     /// Wheels.
 ///     pub struct WheelKnobs {
 ///         /// Radius of a wheel.
 ///         radius: f64 = 0.05, in 0.01 to 1, unit "m";

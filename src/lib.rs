@@ -1,4 +1,4 @@
-//! Anytime 2D laser scan matching for ROS 1: a pose within the time you allow, and how good it is.
+//! Anytime 2D laser scan matching for ROS 1: a pose within a given time budget, with its uncertainty.
 //!
 //! ```
 //! use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
@@ -6,76 +6,76 @@
 //! use anytime_scan_matcher::simulation::pairs::Pairs;
 //! use anytime_scan_matcher::simulation::random_world::RandomWorld;
 //!
-//! // Two simulated scans of a room, and a guess of the motion between them that is 15 mm and 0.6 degrees off.
+//! // Two simulated scans of a room, and an initial guess of the motion between them, with an error of 15 mm and 0.6 degrees.
 //! let pair = Pairs::new(RandomWorld::Room, 1081, 1).next().expect("pairs never end");
 //!
 //! let mut matcher = Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default());
 //! matcher.set_reference(&pair.reference);
 //! let mut refinement = matcher.begin(&pair.sensed, pair.first_guess);
-//! while refinement.refine().is_none() {} // stop whenever you like: `pose` is the best one so far
+//! while refinement.refine().is_none() {} // stop at any time: `pose` is the best pose so far
 //!
 //! let error = pair.reference_from_sensed.between(&refinement.pose());
 //! assert!(error.distance() < 0.005 && error.theta.abs() < 0.001);
 //! ```
 //!
-//! More in `examples/`: odometry over a bag, a search and a solver of one's own, a controller with contracts. `ARCHITECTURE.md` says where
-//! to add what, `docs/mathematics.md` has the formulas.
+//! `examples/` has more: odometry over a bag, a custom correspondence search, a custom solver, a controller with contracts.
+//! `ARCHITECTURE.md` describes where to add what, and `docs/mathematics.md` has the formulas.
 //!
 //! # How a scan becomes a pose
 //!
 //! ```text
-//!  LaserScan ──► Scan ──► prediction ──► pairs with the ──► quadratic ──► solve ──► pose ──► Estimate ──► messages, files
-//!  (messages)   (scan)   (odometry::    views around       form          (matching::         (app)       (ros, replay)
-//!                         wheel)         (surfaces or classic)            solver)
-//!                                       └────────── Refinement::refine, until the contract ends (anytime::drive) ─────────┘
+//!  LaserScan ──► Scan ──► prediction ──► correspondences ──► quadratic ──► solve ──► pose ──► Estimate ──► messages, files
+//!  (messages)    (scan)   (odometry::    with nearby views   form          (matching::        (app)        (ros, replay)
+//!                         wheel)         (surfaces, classic)               solver)
+//!                                        └ Refinement::refine, until the contract ends (anytime module) ┘
 //! ```
 //!
-//! The node (`ros`, behind the feature of that name) and the offline tool ([`replay`]) feed the same [`app::App`]: a replay is what
-//! ran live.
+//! The node (`ros`, behind the feature of that name) and the offline tool ([`replay`]) use the same [`app::App`]: a replay runs the
+//! same code as the live node.
 //!
-//! # Where things are
+//! # Modules
 //!
-//! From the bottom up; a module knows only modules below its own (`tests/offline/layers.rs` holds this against the imports).
+//! From the bottom up: a module imports only modules below it (`tests/offline/layers.rs` checks the imports).
 //!
-//! | module | what it is |
+//! | module | contents |
 //! |---|---|
-//! | [`time`], [`geometry`] | stamps to the nanosecond; poses of the plane, named `odom_from_base` |
+//! | [`time`], [`geometry`] | stamps in nanoseconds; poses in the plane, named like `odom_from_base` |
 //! | [`quantile`] | quantiles in linear time |
-//! | [`output`] | files that are in their place once they are whole |
-//! | `parallel` | work that threads share |
-//! | `text_table` | tables that fit the terminal |
+//! | [`output`] | output files that are renamed into place when complete |
+//! | `parallel` | parallel work on several threads |
+//! | `text_table` | text tables that fit the terminal |
 //! | [`knobs`](mod@knobs) | parameters, each declared once |
-//! | [`map`] | occupancy grids, distances in them |
-//! | [`raycasting`] | how far a beam goes in a map: four methods |
-//! | [`messages`] | ROS messages and their wire form, with or without ROS |
-//! | [`scan`], [`transforms`] | a checked scan; where `/tf` says the laser is |
-//! | `shared_memory` | on Linux: a controller on the same machine calls for the answer now and reads it, without ROS |
-//! | [`cloud`] | point clouds as scans |
-//! | [`matching`] | PL-ICP and its relatives: `begin()`, `refine()`, best so far |
-//! | [`simulation`] | worlds, a lidar, a car, its odometry |
+//! | [`map`] | occupancy grids and their distance fields |
+//! | [`raycasting`] | ray casting in a map: four methods |
+//! | [`messages`] | ROS messages and their serialization, with or without ROS |
+//! | [`scan`], [`transforms`] | validated scans; the pose of the laser from `/tf` |
+//! | `shared_memory` | on Linux: lets a controller on the same machine request an answer now and read it, without ROS |
+//! | [`cloud`] | conversion of point clouds to scans |
+//! | [`matching`] | PL-ICP and its variants: `begin()`, `refine()`, best pose so far |
+//! | [`simulation`] | simulated worlds, lidar, car and odometry |
 //! | [`evaluation`] | ATE, RPE, relations, plots |
-//! | [`anytime`] | contracts, clocks, and refining until the contract ends |
-//! | [`odometry`] | predict, match, keep the map of keyframes: one scan to one pose |
-//! | [`control`] | follows paths, and chooses contracts |
-//! | [`localization`] | a particle filter: where on a map |
-//! | [`mapping`] | keyframes, a pose graph, loops, and the grid that comes of them |
+//! | [`anytime`] | contracts, clocks, and refinement until the contract ends |
+//! | [`odometry`] | from a scan to a pose: prediction, matching, the local map of keyframes |
+//! | [`control`] | path following, and the choice of contracts |
+//! | [`localization`] | particle filter: localization on a map |
+//! | [`mapping`] | keyframes, pose graph, loop closures, and the resulting occupancy grid |
 //! | [`io`] | bags, CARMEN logs, trajectories, relations, maps |
-//! | [`config`] | every module's knobs under one roof: YAML, ROS parameters, `--set`, docs/parameters.md |
+//! | [`config`] | all parameters together: YAML, ROS parameters, `--set`, docs/parameters.md |
 //! | [`app`] | messages in, estimates out |
-//! | [`replay`], `ros` | a bag, or a live graph, through the application |
-//! | [`profile`] | many replays: delay against error |
-//! | [`drive`](mod@drive) | the closed loop offline: simulator, estimator and follower on a modelled processor |
+//! | [`replay`], `ros` | drivers of the application: from a bag, or on a live ROS graph |
+//! | [`profile`] | many replays: error as a function of delay |
+//! | [`drive`](mod@drive) | closed loop offline: simulator, estimator and path follower on a modelled processor |
 //!
-//! # What always holds
+//! # Invariants
 //!
-//! - [`matching`] never reads a clock, prints or panics, and its warm loop never allocates (`tests/offline/no_allocation.rs`).
-//! - Every scan gets exactly one answer. One that cannot be matched, or read, is answered with the prediction, and says why.
-//! - Stamps are those of the scans. Nothing a message says depends on the time it is handled at, except what measures that time.
-//! - With no time budget, or on the virtual clock, the same input gives the same output, to the last bit.
-//! - Bytes from outside are checked before they are used: a bad message, file or parameter is an error that names its place and its
-//!   remedy, never a panic.
-//! - Only `ros` knows rosrust; only the programs read arguments; only `shared_memory::mapping` is unsafe, and one line of
-//!   `ros::node_api`.
+//! - [`matching`] never reads a clock, prints or panics, and allocates nothing after warm-up (`tests/offline/no_allocation.rs`).
+//! - Every scan gets exactly one answer. If it cannot be matched or read, the answer is the prediction with the reason.
+//! - Stamps are those of the scans. No content of a message depends on when it is handled, except measurements of that time.
+//! - Without a time budget, or on the virtual clock, the same input gives the same output to the last bit.
+//! - External data is checked before use: an invalid message, file or parameter is an error that states where it is and how to
+//!   fix it, never a panic.
+//! - Only `ros` depends on rosrust; only the programs read arguments; only `shared_memory::mapping` and one line of `ros::node_api`
+//!   are unsafe.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::panic, clippy::cast_possible_truncation))]
 

@@ -1,4 +1,5 @@
-//! Files written: none destroys what was there before it is whole, and none is written where another file is read or written.
+//! Output files. An existing file is replaced only when the new one is complete, and no output may overwrite an input or another
+//! output.
 
 use std::borrow::Cow;
 use std::fs::{self, File, OpenOptions};
@@ -7,59 +8,60 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-/// Links followed from one to the next.
+/// Maximum number of symbolic links followed.
 const MAX_LINKS: usize = 40;
-/// Names tried for a file that is not whole yet.
+/// Maximum number of names tried for a temporary file.
 const MAX_NAMES: u32 = 100;
 
-/// A file being written beside its place, as `.NAME.PROCESS.part`, and moved there once it is whole. Dropped before, it goes, and an older
-/// file stays as it was; of a killed program it remains.
+/// A file that is written under a temporary name in the target folder, `.NAME.PROCESS.part`, and renamed when it is complete. If
+/// it is dropped before, the temporary file is removed and an existing file stays unchanged. If the program is killed, the
+/// temporary file remains.
 ///
-/// What is no regular file (`/dev/stdout`, a pipe) is written to directly.
+/// Anything but a regular file (`/dev/stdout`, a pipe) is written to directly.
 #[derive(Debug)]
 pub struct OutputFile {
     file: File,
-    place: PathBuf,
-    /// Where it is as long as it is not whole; `None` once it is in its place.
-    part: Option<PathBuf>,
+    target: PathBuf,
+    /// The temporary file; `None` after it was renamed, or if the file is written in place.
+    temporary: Option<PathBuf>,
 }
 
 impl OutputFile {
-    /// Begins a file. One that may not be overwritten is refused now.
+    /// Creates a file. Fails now if an existing file may not be overwritten.
     pub fn create(path: &Path) -> io::Result<Self> {
-        let place = place(path);
+        let target = resolved(path);
         let old = match fs::metadata(path) {
-            Ok(old) if !old.is_file() => return Self::in_place(path),
+            Ok(old) if !old.is_file() => return Self::create_in_place(path),
             Ok(old) => {
                 OpenOptions::new().write(true).open(path)?;
                 Some(old)
             }
             Err(_) => None,
         };
-        let (file, part) = create_part(&place)?;
-        let output = Self { file, place, part: Some(part) };
+        let (file, temporary) = create_temporary(&target)?;
+        let output = Self { file, target, temporary: Some(temporary) };
         if let Some(old) = old {
             output.file.set_permissions(old.permissions())?;
         }
         Ok(output)
     }
 
-    /// Begins a file that grows while a program runs, and holds what there is should the program be killed: in its place where nothing is
-    /// there to be lost, else beside it.
-    pub fn record(path: &Path) -> io::Result<Self> {
-        if fs::symlink_metadata(path).is_ok() { Self::create(path) } else { Self::in_place(path) }
+    /// Creates a file that grows while a program runs, and keeps what was written if the program is killed. It is written in
+    /// place if no file exists there that could be lost, otherwise under a temporary name.
+    pub fn create_growing(path: &Path) -> io::Result<Self> {
+        if fs::symlink_metadata(path).is_ok() { Self::create(path) } else { Self::create_in_place(path) }
     }
 
-    /// Begins a file in its place, whatever is there: for records that are to be found there as far as they go.
-    pub fn in_place(path: &Path) -> io::Result<Self> {
-        Ok(Self { file: File::create(path)?, place: path.into(), part: None })
+    /// Creates a file in place, and overwrites an existing one: for recordings that must be usable as far as they were written.
+    pub fn create_in_place(path: &Path) -> io::Result<Self> {
+        Ok(Self { file: File::create(path)?, target: path.into(), temporary: None })
     }
 
-    /// The file is whole: moves it to its place.
+    /// Completes the file: renames it to its final name.
     pub fn commit(&mut self) -> io::Result<()> {
-        if let Some(part) = &self.part {
-            fs::rename(part, &self.place)?;
-            self.part = None;
+        if let Some(temporary) = &self.temporary {
+            fs::rename(temporary, &self.target)?;
+            self.temporary = None;
         }
         Ok(())
     }
@@ -83,27 +85,27 @@ impl Seek for OutputFile {
 
 impl Drop for OutputFile {
     fn drop(&mut self) {
-        if let Some(part) = &self.part {
-            // Nobody is left to hear of an error.
-            let _ = fs::remove_file(part);
+        if let Some(temporary) = &self.temporary {
+            // There is no one to report an error to.
+            let _ = fs::remove_file(temporary);
         }
     }
 }
 
-/// Writes a whole file.
+/// Writes a complete file.
 pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> io::Result<()> {
     let mut output = OutputFile::create(path)?;
     output.write_all(bytes.as_ref())?;
     output.commit()
 }
 
-fn create_part(place: &Path) -> io::Result<(File, PathBuf)> {
-    let name = place.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();
+fn create_temporary(target: &Path) -> io::Result<(File, PathBuf)> {
+    let name = target.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();
     for number in 0..MAX_NAMES {
         let number = if number == 0 { String::new() } else { format!(".{number}") };
-        let part = place.with_file_name(format!(".{name}.{}{number}.part", std::process::id()));
-        match OpenOptions::new().write(true).create_new(true).open(&part) {
-            Ok(file) => return Ok((file, part)),
+        let temporary = target.with_file_name(format!(".{name}.{}{number}.part", std::process::id()));
+        match OpenOptions::new().write(true).create_new(true).open(&temporary) {
+            Ok(file) => return Ok((file, temporary)),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
             Err(error) => return Err(error),
         }
@@ -111,8 +113,8 @@ fn create_part(place: &Path) -> io::Result<(File, PathBuf)> {
     Err(io::ErrorKind::AlreadyExists.into())
 }
 
-/// Where a file is, or would be: links followed.
-fn place(path: &Path) -> PathBuf {
+/// The path that a file has or would have, with symbolic links resolved.
+fn resolved(path: &Path) -> PathBuf {
     let mut path = path.to_path_buf();
     for _ in 0..MAX_LINKS {
         let Ok(target) = fs::read_link(&path) else { break };
@@ -125,50 +127,51 @@ fn place(path: &Path) -> PathBuf {
     }
 }
 
-/// A file with what it is to its user: `("--tum", path)`.
-pub type Role<'a> = (&'a str, Cow<'a, Path>);
+/// A file and how the user named it, such as `("--tum", path)`.
+pub type NamedPath<'a> = (&'a str, Cow<'a, Path>);
 
-/// The same file for two roles.
+/// Error: two names refer to the same file.
 #[derive(Debug, Error)]
-#[error("{first} and {second} are the same file, {}: it would be destroyed; give another name", path.display())]
+#[error("{first} and {second} are the same file, {}: it would be overwritten; choose another name", path.display())]
 pub struct SameFile {
     first: String,
     second: String,
     path: PathBuf,
 }
 
-/// Refuses an output that is an input, or another output. Opens nothing.
-pub fn check_roles(inputs: &[Role], outputs: &[Role]) -> Result<(), SameFile> {
-    for (i, (role, path)) in outputs.iter().enumerate() {
+/// Fails if an output is also an input or another output. Opens no files.
+pub fn check_no_overwrite(inputs: &[NamedPath], outputs: &[NamedPath]) -> Result<(), SameFile> {
+    for (i, (name, path)) in outputs.iter().enumerate() {
         let Some(identity) = Identity::of(path) else { continue };
         let others = inputs.iter().chain(&outputs[..i]);
         if let Some((other, _)) = others.into_iter().find(|(_, other)| Identity::of(other).as_ref() == Some(&identity)) {
-            return Err(SameFile { first: (*role).into(), second: (*other).into(), path: path.clone().into_owned() });
+            return Err(SameFile { first: (*name).into(), second: (*other).into(), path: path.clone().into_owned() });
         }
     }
     Ok(())
 }
 
-/// What two names of one file have in common.
+/// Identity of a file, equal for different names of the same file.
 #[derive(PartialEq, Eq)]
 enum Identity {
-    /// Device and number of a file that is there.
+    /// Device and inode number of an existing file.
     #[cfg(unix)]
-    Number(u64, u64),
-    Place(PathBuf),
+    Inode(u64, u64),
+    /// Path of a file that does not exist yet.
+    Path(PathBuf),
 }
 
 impl Identity {
-    /// `None` for what holds nothing that could be destroyed: devices, pipes, folders.
+    /// `None` for devices, pipes and folders, which cannot be overwritten.
     fn of(path: &Path) -> Option<Self> {
         match fs::metadata(path) {
             Ok(metadata) if !metadata.is_file() => None,
             #[cfg(unix)]
             Ok(metadata) => {
                 use std::os::unix::fs::MetadataExt;
-                Some(Self::Number(metadata.dev(), metadata.ino()))
+                Some(Self::Inode(metadata.dev(), metadata.ino()))
             }
-            _ => Some(Self::Place(place(path))),
+            _ => Some(Self::Path(resolved(path))),
         }
     }
 }
@@ -178,7 +181,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_older_file_stays_until_the_new_one_is_whole() {
+    fn an_existing_file_is_kept_until_the_new_one_is_complete() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.txt");
         write(&path, "old").unwrap();
@@ -194,22 +197,23 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn links_stay_links_and_lead_to_one_file() {
+    fn links_are_kept_and_count_as_the_same_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         std::os::unix::fs::symlink("a", path("link")).unwrap();
-        let clash =
-            |input: &str, output: &str| check_roles(&[("in", path(input).into())], &[("out", path(output).into())]).is_err();
+        let clash = |input: &str, output: &str| {
+            check_no_overwrite(&[("in", path(input).into())], &[("out", path(output).into())]).is_err()
+        };
         assert!(clash("a", "link") && clash("a", "./a") && clash("link", "a") && !clash("a", "b"));
         write(&path("link"), "1").unwrap();
         assert!(path("link").is_symlink() && fs::read_to_string(path("a")).unwrap() == "1");
         fs::hard_link(path("a"), path("hard")).unwrap();
         assert!(clash("a", "link") && clash("hard", "a") && clash("hard", "link"));
         let null = Path::new("/dev/null");
-        assert!(check_roles(&[], &[("--tum", null.into()), ("--csv", null.into())]).is_ok());
+        assert!(check_no_overwrite(&[], &[("--tum", null.into()), ("--csv", null.into())]).is_ok());
         let (a, same) = (path("a"), path("./a"));
         let problem =
-            check_roles(&[], &[("--tum", a.as_path().into()), ("--csv", same.as_path().into())]).unwrap_err().to_string();
+            check_no_overwrite(&[], &[("--tum", a.as_path().into()), ("--csv", same.as_path().into())]).unwrap_err().to_string();
         assert!(problem.contains("--csv and --tum are the same file"), "{problem}");
     }
 }

@@ -1,11 +1,11 @@
-//! Work that several threads share: by rayon, with the feature `cli`; else the thread that asks does it all.
+//! Parallel work on several threads: with rayon if the feature `cli` is enabled, otherwise on the calling thread.
 
 use std::io;
 
 #[cfg(feature = "cli")]
 use rayon::prelude::*;
 
-/// What `work` makes of each item, in their order, by as many threads as there are cores.
+/// Applies `work` to each item on all cores, and returns the results in the order of the items.
 pub(crate) fn map<T: Send, R: Send>(items: impl Iterator<Item = T>, work: impl Fn(T) -> R + Send + Sync) -> Vec<R> {
     let items: Vec<T> = items.collect();
     #[cfg(feature = "cli")]
@@ -15,15 +15,15 @@ pub(crate) fn map<T: Send, R: Send>(items: impl Iterator<Item = T>, work: impl F
     items.map(work).collect()
 }
 
-/// Threads that wait for tasks.
+/// A pool of threads.
 pub(crate) struct Workers {
-    /// `None`: the thread that asks does it all. Waking another takes longer than the least tasks.
+    /// `None`: the calling thread does all the work, because waking another thread takes longer than the smallest tasks.
     #[cfg(feature = "cli")]
     pool: Option<rayon::ThreadPool>,
 }
 
 impl Workers {
-    /// `threads`; 0: one for each core. Fails when the system gives none.
+    /// Creates a pool of `threads` threads; 0: one per core. Fails if the system provides none.
     #[cfg(feature = "cli")]
     pub(crate) fn new(threads: usize) -> io::Result<Self> {
         let build = || rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(io::Error::other);
@@ -31,22 +31,22 @@ impl Workers {
         Ok(Self { pool })
     }
 
-    /// No threads, however many are asked for.
+    /// Creates no threads, whatever the argument.
     #[cfg(not(feature = "cli"))]
-    #[allow(clippy::unnecessary_wraps)] // as the other one
+    #[allow(clippy::unnecessary_wraps)] // same signature as with rayon
     pub(crate) fn new(_threads: usize) -> io::Result<Self> {
         Ok(Self {})
     }
 
-    /// Does every task; `work` is told its number.
+    /// Applies `work` to every task and its index.
     #[cfg_attr(not(feature = "cli"), allow(clippy::unused_self))]
-    pub(crate) fn share<T: Send>(&self, tasks: impl Iterator<Item = T>, work: impl Fn(usize, T) + Send + Sync) {
+    pub(crate) fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T>, work: impl Fn(usize, T) + Send + Sync) {
         #[cfg(feature = "cli")]
         if let Some(pool) = &self.pool {
             let tasks: Vec<T> = tasks.collect();
-            pool.install(|| tasks.into_par_iter().enumerate().for_each(|(number, task)| work(number, task)));
+            pool.install(|| tasks.into_par_iter().enumerate().for_each(|(index, task)| work(index, task)));
             return;
         }
-        tasks.enumerate().for_each(|(number, task)| work(number, task));
+        tasks.enumerate().for_each(|(index, task)| work(index, task));
     }
 }

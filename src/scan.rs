@@ -1,4 +1,4 @@
-//! A laser scan, checked once and immutable from then on.
+//! A laser scan, checked once and immutable afterwards.
 
 mod mask;
 
@@ -15,56 +15,57 @@ use crate::quantile::quantile;
 use crate::time::Stamp;
 pub use mask::{Mask, ScanKnobs, Sector, Sectors};
 
-/// Fewest beams a scan may have.
+/// Minimum number of beams of a scan.
 pub const MIN_BEAMS: usize = 10;
-/// Most beams a scan may have.
+/// Maximum number of beams of a scan.
 pub const MAX_BEAMS: usize = 10_000;
-/// A shorter range says less of where something is than of its own noise, m: ten standard deviations of what lasers usually err by. A laser
-/// in a wall sees such. From 6 to 20 cm do alike.
-pub const SHORTEST_RANGE: f64 = 0.1;
-/// Least part of the rays that must carry a measurement.
+/// Minimum usable range, m: ten standard deviations of typical range noise. Shorter ranges are mostly noise; a laser touching a
+/// wall measures such ranges. Values from 0.06 to 0.2 work equally well.
+pub const MIN_RANGE: f64 = 0.1;
+/// Minimum fraction of the rays that must have a measurement.
 pub const MIN_VALID_FRACTION: f64 = 0.1;
-/// Rays over less than this angle may all read much the same: they face a wall, rad.
-const WIDE: f64 = FRAC_PI_2;
-/// A reading is much the same as another within this, m: what the ranges of a covered laser vary by.
-const SAME_RANGE: f64 = 0.05;
-/// So many of the rays read the same where the surface that they meet goes along with the laser.
-const ALL_ROUND: f64 = 0.95;
-/// Scans that share less of their directions are of different things, rad; of narrow views half must do.
-const LEAST_SHARED_VIEW: f64 = 0.5;
-/// A sweep may exceed a full turn by a beam, which then looks where the first one does, and by this much, rad: the rounding of the
-/// message's 32-bit angles.
+/// Minimum field of view in which equal ranges are suspicious, rad. Over a smaller angle, the rays may face a wall.
+const MIN_WIDE_ANGLE: f64 = FRAC_PI_2;
+/// Maximum difference of two equal ranges, m: the variation of the ranges of a covered laser.
+const MAX_EQUAL_DIFFERENCE: f64 = 0.05;
+/// Minimum fraction of rays with equal ranges that shows a surface moving with the laser.
+const MIN_EQUAL_FRACTION: f64 = 0.95;
+/// Minimum overlap of the fields of view of two scans of the same surroundings, rad; for narrow fields of view, half of the
+/// narrower one suffices.
+const MIN_VIEW_OVERLAP: f64 = 0.5;
+/// Maximum excess of a sweep over a full turn plus one beam, rad: the rounding of the message's 32-bit angles. That one beam may
+/// point in the direction of the first one.
 const FULL_TURN_TOLERANCE: f64 = 1e-4;
-/// A sweep that takes longer is a mistake of the driver, s.
-const LONGEST_SWEEP: f64 = 1.0;
-/// Drivers round the number of beams or the last angle: the two may disagree by this many beams.
+/// Maximum duration of a sweep, s. A longer one is an error of the driver.
+const MAX_SWEEP_DURATION: f64 = 1.0;
+/// Maximum difference between the number of beams and the one computed from the angles, because drivers round either.
 const BEAM_COUNT_TOLERANCE: f64 = 1.6;
 
-/// Something odd in a message that keeps no scan from being used: said once, with the remedy.
+/// A problem of a message that does not make the scan unusable. It is reported once, with the remedy.
 #[derive(Clone, Debug, Error, PartialEq)]
-pub enum Oddity {
-    /// The number of ranges is not what the angles say.
+pub enum ScanWarning {
+    /// The number of ranges does not match the angles.
     #[error(
-        "{beams} ranges, but angle_min, angle_max and angle_increment make {expected:.1}: beam i is taken to point to angle_min + i * angle_increment"
+        "{beams} ranges, but angle_min, angle_max and angle_increment give {expected:.1}: beam i is assumed to point to angle_min + i * angle_increment"
     )]
     BeamCount {
         /// Number of ranges.
         beams: usize,
-        /// Number that the angles give.
+        /// Number computed from the angles.
         expected: f64,
     },
-    /// The time between two rays is no number, or one by which a sweep takes longer than there is from one scan to the next.
+    /// The time between two rays is not a number, or gives a sweep longer than the time between scans.
     #[error(
-        "time_increment is {value}, but a sweep cannot take {seconds:.3} s: ignored, all rays are taken to be of one moment \
-         (odometry.scan_duration can say how long a sweep takes)"
+        "time_increment is {value}, but a sweep cannot take {seconds:.3} s: ignored, all rays are assumed to be simultaneous \
+         (set odometry.scan_duration to the duration of a sweep)"
     )]
     TimeIncrement {
         /// Its value.
         value: f32,
-        /// How long a sweep would take, s.
+        /// Duration of the sweep that it gives, s.
         seconds: f64,
     },
-    /// A number that nothing depends on is none.
+    /// An unused field is not a number.
     #[error("{field} is {value}: ignored")]
     Ignored {
         /// Name of the message field.
@@ -72,17 +73,19 @@ pub enum Oddity {
         /// Its value.
         value: f32,
     },
-    /// Intensities are there, but not one for every range.
-    #[error("{ranges} ranges but {intensities} intensities: these are ignored")]
+    /// There are intensities, but not one for each range.
+    #[error("{ranges} ranges but {intensities} intensities: the intensities are ignored")]
     Intensities {
         /// Number of ranges.
         ranges: usize,
         /// Number of intensities.
         intensities: usize,
     },
-    /// Many rays carry the same greatest range, which is less than `range_max`.
-    #[error("rays that see nothing seem to carry a range of about {range:.2} m: they are no walls (range_max should be that)")]
-    NothingSeen {
+    /// Many rays have the same maximum range, which is less than `range_max`.
+    #[error(
+        "rays without a return seem to have a range of about {range:.2} m: they are not used as walls (range_max should be this value)"
+    )]
+    OutOfRangeMarker {
         /// The range.
         range: f64,
     },
@@ -116,7 +119,7 @@ pub enum ScanError {
         /// Number of beams.
         beams: usize,
     },
-    /// The beams pass their start again.
+    /// The beams sweep more than a full turn.
     #[error("the beams sweep {degrees:.1} degrees: more than a full turn")]
     MoreThanATurn {
         /// Angle between the first and the last beam.
@@ -130,9 +133,9 @@ pub enum ScanError {
         /// `range_max`.
         max: f32,
     },
-    /// Nearly every ray is without a measurement.
+    /// Too few rays have a measurement.
     #[error(
-        "{valid} of {beams} rays carry a measurement: at least 10 % must (is the laser covered, or range_min/range_max wrong?)"
+        "{valid} of {beams} rays have a measurement: at least 10 % are required (is the laser covered, or range_min/range_max wrong?)"
     )]
     TooFewValid {
         /// Rays with a measurement.
@@ -140,10 +143,10 @@ pub enum ScanError {
         /// All rays.
         beams: usize,
     },
-    /// What is seen is the same in every direction.
-    #[error("the rays read about {range:.2} m in whatever direction, which says nothing of a motion (is the laser covered?)")]
-    SameAllRound {
-        /// What most of them read, m.
+    /// The ranges are equal in all directions.
+    #[error("the rays measure about {range:.2} m in all directions, which does not constrain the motion (is the laser covered?)")]
+    UniformRanges {
+        /// The median range, m.
         range: f64,
     },
 }
@@ -154,10 +157,10 @@ pub struct BeamGeometry {
     angle_min: f64,
     angle_increment: f64,
     directions: Vec<Point>,
-    is_even: bool,
+    is_uniform: bool,
 }
 
-/// The directions that a laser looks in, rad.
+/// The field of view of a laser, rad.
 struct FieldOfView {
     middle: f64,
     width: f64,
@@ -172,12 +175,12 @@ impl BeamGeometry {
                 Point::new(cos, sin)
             })
             .collect();
-        Self { angle_min, angle_increment, directions, is_even: true }
+        Self { angle_min, angle_increment, directions, is_uniform: true }
     }
 
-    /// Beam `i` points in direction `i`, which is about `angle_min + i * angle_increment`, rad.
-    pub fn about(angle_min: f64, angle_increment: f64, directions: Vec<Point>) -> Self {
-        Self { angle_min, angle_increment, directions, is_even: false }
+    /// Beam `i` points in direction `i`, which is approximately `angle_min + i * angle_increment`, rad.
+    pub fn with_directions(angle_min: f64, angle_increment: f64, directions: Vec<Point>) -> Self {
+        Self { angle_min, angle_increment, directions, is_uniform: false }
     }
 
     /// Number of beams.
@@ -190,7 +193,7 @@ impl BeamGeometry {
         self.directions.is_empty()
     }
 
-    /// Direction of beam `i` by its index, rad: of beams that are not even, about.
+    /// Nominal direction of beam `i`, rad: exact for uniform beams, approximate for others.
     pub fn angle(&self, i: usize) -> f64 {
         self.angle_min + i as f64 * self.angle_increment
     }
@@ -200,9 +203,9 @@ impl BeamGeometry {
         self.angle_increment
     }
 
-    /// Whether the beams point where their indices say; those of an undistorted scan do so only about.
-    pub fn is_even(&self) -> bool {
-        self.is_even
+    /// Whether the beams are exactly at their nominal directions; those of an undistorted scan are only approximately.
+    pub fn is_uniform(&self) -> bool {
+        self.is_uniform
     }
 
     /// Unit vectors of the beams.
@@ -210,61 +213,61 @@ impl BeamGeometry {
         &self.directions
     }
 
-    /// The directions it looks in.
+    /// The field of view.
     fn view(&self) -> FieldOfView {
         let sweep = self.len().saturating_sub(1) as f64 * self.angle_increment;
         FieldOfView { middle: self.angle_min + 0.5 * sweep, width: sweep.abs() }
     }
 
-    /// Angle between the last beam and the first one, the way that the sweep leaves out, rad. About zero or one increment for a
-    /// laser that looks all round.
+    /// Angle from the last beam on to the first one, rad: the part of the full turn that the sweep leaves out. About zero or one
+    /// increment for a laser with a 360 degree field of view.
     pub fn gap(&self) -> f64 {
         TAU - (self.len().saturating_sub(1)) as f64 * self.angle_increment.abs()
     }
 
-    /// Whether the last beam and the first are neighbours like any other two.
-    pub fn closes(&self) -> bool {
+    /// Whether the beams cover a full circle, so that the last beam and the first are neighbours.
+    pub fn is_full_circle(&self) -> bool {
         self.gap() < 1.5 * self.angle_increment.abs()
     }
 
-    fn is_of(&self, angle_min: f64, angle_increment: f64, beams: usize) -> bool {
+    fn matches(&self, angle_min: f64, angle_increment: f64, beams: usize) -> bool {
         self.len() == beams
             && self.angle_min.to_bits() == angle_min.to_bits()
             && self.angle_increment.to_bits() == angle_increment.to_bits()
     }
 }
 
-/// A checked scan: ranges in ray order, with the rays that carry no measurement kept in place.
+/// A checked scan: ranges in ray order; rays without a measurement keep their place.
 #[derive(Clone, Debug)]
 pub struct Scan {
     stamp: Stamp,
     beams: Arc<BeamGeometry>,
     ranges: Vec<f64>,
     valid: usize,
-    /// The rays that met nothing within reach.
-    nothing_seen: Vec<bool>,
-    /// How far the laser sees, m.
-    reach: f64,
-    /// From one ray to the next, s.
+    /// Whether each ray was out of range: nothing within the maximum range.
+    out_of_range: Vec<bool>,
+    /// Maximum range of the laser, m.
+    max_range: f64,
+    /// Time from one ray to the next, s.
     time_increment: f64,
 }
 
 impl Scan {
-    /// A scan from ranges in metres. A ray saw nothing (REP 117) when its range is above `range_max`. It is without a measurement when its
-    /// range is NaN, below `range_min` or [`SHORTEST_RANGE`], or minus infinity.
+    /// Creates a scan from ranges in metres. A ray is out of range (REP 117) if its range is above `range_max`. It has no
+    /// measurement if its range is NaN, below `range_min` or [`MIN_RANGE`], or minus infinity.
     pub fn new(
         stamp: Stamp,
         beams: Arc<BeamGeometry>,
         (range_min, range_max): (f64, f64),
         ranges: impl IntoIterator<Item = f64>,
     ) -> Result<Self, ScanError> {
-        let (mut valid, mut nothing_seen) = (0, Vec::with_capacity(beams.len()));
+        let (mut valid, mut out_of_range) = (0, Vec::with_capacity(beams.len()));
         let ranges: Vec<f64> = ranges
             .into_iter()
             .map(|range| {
-                let measured = range.is_finite() && range >= range_min.max(SHORTEST_RANGE) && range <= range_max;
+                let measured = range.is_finite() && range >= range_min.max(MIN_RANGE) && range <= range_max;
                 valid += usize::from(measured);
-                nothing_seen.push(range > range_max || range == f64::INFINITY);
+                out_of_range.push(range > range_max || range == f64::INFINITY);
                 if measured { range } else { f64::NAN }
             })
             .collect();
@@ -274,22 +277,26 @@ impl Scan {
         if (valid as f64) < MIN_VALID_FRACTION * ranges.len() as f64 {
             return Err(ScanError::TooFewValid { valid, beams: ranges.len() });
         }
-        Ok(Self { stamp, beams, ranges, valid, nothing_seen, reach: range_max, time_increment: 0.0 })
+        Ok(Self { stamp, beams, ranges, valid, out_of_range, max_range: range_max, time_increment: 0.0 })
     }
 
-    /// Refuses a scan whose rays all read the same, though they look far to either side: no room has the laser in the middle of its every
-    /// wall.
-    pub fn of_surroundings(self) -> Result<Self, ScanError> {
-        if self.valid as f64 * self.beams.angle_increment.abs() < WIDE {
+    /// Rejects a scan whose rays all measure the same range over a wide field of view: no environment has walls at the same
+    /// distance in all directions.
+    pub fn reject_uniform(self) -> Result<Self, ScanError> {
+        if self.valid as f64 * self.beams.angle_increment.abs() < MIN_WIDE_ANGLE {
             return Ok(self);
         }
         let mut readings: Vec<f64> = self.ranges.iter().copied().filter(|range| !range.is_nan()).collect();
         let Some(median) = quantile(&mut readings, 0.5, f64::total_cmp) else { return Ok(self) };
-        let same = readings.iter().filter(|&range| (range - median).abs() < SAME_RANGE).count();
-        if same as f64 >= ALL_ROUND * self.valid as f64 { Err(ScanError::SameAllRound { range: median }) } else { Ok(self) }
+        let same = readings.iter().filter(|&range| (range - median).abs() < MAX_EQUAL_DIFFERENCE).count();
+        if same as f64 >= MIN_EQUAL_FRACTION * self.valid as f64 {
+            Err(ScanError::UniformRanges { range: median })
+        } else {
+            Ok(self)
+        }
     }
 
-    /// The same scan without the readings that a mask lets go.
+    /// Removes the measurements that a mask excludes.
     pub fn masked(mut self, mask: &Mask) -> Result<Self, ScanError> {
         if mask.is_empty() {
             return Ok(self);
@@ -300,7 +307,7 @@ impl Scan {
                 self.ranges[i] = f64::NAN;
                 self.valid -= 1;
             }
-            self.nothing_seen[i] &= limit < f64::INFINITY;
+            self.out_of_range[i] &= limit < f64::INFINITY;
         }
         if (self.valid as f64) < MIN_VALID_FRACTION * self.len() as f64 {
             return Err(ScanError::TooFewValid { valid: self.valid, beams: self.len() });
@@ -308,17 +315,17 @@ impl Scan {
         Ok(self)
     }
 
-    /// When the scan was taken.
+    /// Stamp of the scan.
     pub fn stamp(&self) -> Stamp {
         self.stamp
     }
 
-    /// How far the laser sees, m: rays that would go farther saw nothing.
-    pub fn reach(&self) -> f64 {
-        self.reach
+    /// Maximum range of the laser, m: rays that would measure more are out of range.
+    pub fn max_range(&self) -> f64 {
+        self.max_range
     }
 
-    /// The same scan, its rays taken one after the other: `time_increment` s apart.
+    /// The same scan with its rays taken one after the other, `time_increment` s apart.
     #[must_use]
     pub fn with_time_increment(mut self, time_increment: f64) -> Self {
         self.time_increment = time_increment;
@@ -330,8 +337,9 @@ impl Scan {
         self.time_increment * self.len().saturating_sub(1) as f64
     }
 
-    /// The scan as the laser would have seen it from where it was at the scan's stamp. `twist`: of the laser, in its own frame. The first
-    /// ray was taken `first_ray` s after the stamp, the last one `sweep_duration` s after the first, which may be before it.
+    /// Undistorts the scan: returns it as the laser would have measured it from its pose at the scan's stamp. `twist` is that of
+    /// the laser, in its own frame. The first ray was taken `first_ray` s after the stamp, the last one `sweep_duration` s after
+    /// the first one, or before it if negative.
     #[must_use]
     pub fn undistorted(&self, twist: &Twist2, first_ray: f64, sweep_duration: f64) -> Self {
         let (mut ranges, mut directions) = (self.ranges.clone(), self.beams.directions.clone());
@@ -346,12 +354,13 @@ impl Scan {
                 *direction = point / *range;
             }
         }
-        let beams = Arc::new(BeamGeometry::about(self.beams.angle_min, self.beams.angle_increment, directions));
-        let nothing_seen = self.nothing_seen.clone();
-        Self { stamp: self.stamp, beams, ranges, valid: self.valid, nothing_seen, reach: self.reach, time_increment: 0.0 }
+        let beams = Arc::new(BeamGeometry::with_directions(self.beams.angle_min, self.beams.angle_increment, directions));
+        let out_of_range = self.out_of_range.clone();
+        Self { stamp: self.stamp, beams, ranges, valid: self.valid, out_of_range, max_range: self.max_range, time_increment: 0.0 }
     }
 
-    /// Whether another scan, taken near by with the laser turned by `turn` against this one, looks in some of the same directions.
+    /// Whether the field of view of another scan overlaps with this one's. The other scan was taken nearby, with the laser
+    /// rotated by `rotation` relative to this one.
     ///
     /// ```
     /// use anytime_scan_matcher::scan::{BeamGeometry, Scan};
@@ -361,15 +370,15 @@ impl Scan {
     /// let scan = Scan::new(Stamp::default(), beams.into(), (0.1, 30.0), vec![2.0; 181]).unwrap();
     /// assert!(scan.shares_view_with(&scan, 1.57) && !scan.shares_view_with(&scan, 3.14));
     /// ```
-    pub fn shares_view_with(&self, other: &Self, turn: f64) -> bool {
+    pub fn shares_view_with(&self, other: &Self, rotation: f64) -> bool {
         let (own, others) = (self.beams.view(), other.beams.view());
-        let apart = wrap_angle(turn + others.middle - own.middle).abs();
+        let between = wrap_angle(rotation + others.middle - own.middle).abs();
         let within = 0.5 * (own.width + others.width);
-        let shared = (within - apart).max(0.0) + (within - (TAU - apart)).max(0.0);
-        shared >= LEAST_SHARED_VIEW.min(0.5 * own.width.min(others.width))
+        let overlap = (within - between).max(0.0) + (within - (TAU - between)).max(0.0);
+        overlap >= MIN_VIEW_OVERLAP.min(0.5 * own.width.min(others.width))
     }
 
-    /// Directions of its beams.
+    /// Directions of the beams.
     pub fn beams(&self) -> &BeamGeometry {
         &self.beams
     }
@@ -384,14 +393,14 @@ impl Scan {
         self.ranges.is_empty()
     }
 
-    /// Number of rays that carry a measurement.
+    /// Number of rays with a measurement.
     pub fn valid_len(&self) -> usize {
         self.valid
     }
 
-    /// Whether ray `i` met nothing within the laser's reach.
-    pub fn saw_nothing(&self, i: usize) -> bool {
-        self.nothing_seen.get(i).is_some_and(|&nothing| nothing)
+    /// Whether ray `i` was out of range: nothing within the laser's maximum range.
+    pub fn is_out_of_range(&self, i: usize) -> bool {
+        self.out_of_range.get(i).is_some_and(|&is_out_of_range| is_out_of_range)
     }
 
     /// Ranges in ray order, m; NaN where there is no measurement.
@@ -416,40 +425,41 @@ impl Scan {
     }
 }
 
-/// Turns messages of one laser into scans; keeps the beam directions while the geometry stays the same.
+/// Converts the messages of one laser into scans; keeps the beam directions while the geometry stays the same.
 #[derive(Debug, Default)]
 pub struct ScanConverter {
     beams: Option<Arc<BeamGeometry>>,
-    reach: Reach,
-    pace: Pace,
+    out_of_range: OutOfRangeDetector,
+    intervals: ScanIntervals,
     mask: Mask,
-    said: HashSet<Discriminant<Oddity>>,
-    oddities: Vec<Oddity>,
+    reported: HashSet<Discriminant<ScanWarning>>,
+    warnings: Vec<ScanWarning>,
 }
 
 impl ScanConverter {
-    /// A converter whose scans have the rays that these knobs let count.
+    /// A converter that masks rays according to these parameters.
     pub fn new(knobs: &ScanKnobs) -> Self {
         Self { mask: Mask::new(knobs), ..Self::default() }
     }
 
-    /// The rays that count.
+    /// The mask of the rays that are used.
     pub fn mask(&self) -> &Mask {
         &self.mask
     }
 
-    /// Checks a message. `upside_down`: the laser is mounted on its head, its sweep seen from above runs the other way round.
+    /// Checks and converts a message. `upside_down`: the laser is mounted upside down, so that its sweep, seen from above, has
+    /// the opposite direction.
     pub fn convert(&mut self, message: &LaserScan, upside_down: bool) -> Result<Scan, ScanError> {
         let side = if upside_down { -1.0 } else { 1.0 };
         check_header(message)?;
-        self.pace.add(message);
-        self.note_oddities(message);
+        self.intervals.add(message);
+        self.check_fields(message);
         let angle_min = side * f64::from(message.angle_min);
         let angle_increment = side * f64::from(message.angle_increment);
         let beams = self.beams(angle_min, angle_increment, message.ranges.len());
-        let range_max = self.reach.least_of_nothing(message);
-        if let Some(range) = self.reach.marker {
-            self.note(Oddity::NothingSeen { range });
+        let range_max = self.out_of_range.threshold(message);
+        if let Some(range) = self.out_of_range.marker {
+            self.warn(ScanWarning::OutOfRangeMarker { range });
         }
         let limits = (f64::from(message.range_min), range_max.next_down());
         let ranges = message.ranges.iter().map(|&range| f64::from(range));
@@ -457,104 +467,106 @@ impl ScanConverter {
         Ok(scan.with_time_increment(if self.is_sweep(message) { message.time_increment.into() } else { 0.0 }))
     }
 
-    /// What was odd in the messages since the last call, each kind of it once.
-    pub fn take_oddities(&mut self) -> Vec<Oddity> {
-        std::mem::take(&mut self.oddities)
+    /// Takes the warnings since the last call; each kind is reported once.
+    pub fn take_warnings(&mut self) -> Vec<ScanWarning> {
+        std::mem::take(&mut self.warnings)
     }
 
-    fn note(&mut self, oddity: Oddity) {
-        if self.said.insert(std::mem::discriminant(&oddity)) {
-            self.oddities.push(oddity);
+    fn warn(&mut self, warning: ScanWarning) {
+        if self.reported.insert(std::mem::discriminant(&warning)) {
+            self.warnings.push(warning);
         }
     }
 
-    /// What matching does not need is not refused for.
-    fn note_oddities(&mut self, message: &LaserScan) {
+    /// Warns of wrong fields that are not needed for matching.
+    fn check_fields(&mut self, message: &LaserScan) {
         let (beams, intensities) = (message.ranges.len(), message.intensities.len());
         let expected = (f64::from(message.angle_max) - f64::from(message.angle_min)) / f64::from(message.angle_increment) + 1.0;
         let fits = (expected - beams as f64).abs() <= BEAM_COUNT_TOLERANCE;
         if !fits {
-            self.note(Oddity::BeamCount { beams, expected });
+            self.warn(ScanWarning::BeamCount { beams, expected });
         }
         if !message.scan_time.is_finite() {
-            self.note(Oddity::Ignored { field: "scan_time", value: message.scan_time });
+            self.warn(ScanWarning::Ignored { field: "scan_time", value: message.scan_time });
         }
         if !self.is_sweep(message) {
-            self.note(Oddity::TimeIncrement { value: message.time_increment, seconds: sweep(message) });
+            self.warn(ScanWarning::TimeIncrement { value: message.time_increment, seconds: sweep(message) });
         }
         if intensities != 0 && intensities != beams {
-            self.note(Oddity::Intensities { ranges: beams, intensities });
+            self.warn(ScanWarning::Intensities { ranges: beams, intensities });
         }
     }
 
-    /// Whether its rays can have been taken one after the other as it says.
+    /// Whether the time increment of the message is plausible.
     fn is_sweep(&self, message: &LaserScan) -> bool {
-        sweep(message) <= self.pace.longest().min(LONGEST_SWEEP)
+        sweep(message) <= self.intervals.max_sweep_duration().min(MAX_SWEEP_DURATION)
     }
 
     fn beams(&mut self, angle_min: f64, angle_increment: f64, len: usize) -> Arc<BeamGeometry> {
         match &self.beams {
-            Some(beams) if beams.is_of(angle_min, angle_increment, len) => Arc::clone(beams),
+            Some(beams) if beams.matches(angle_min, angle_increment, len) => Arc::clone(beams),
             _ => Arc::clone(self.beams.insert(Arc::new(BeamGeometry::new(angle_min, angle_increment, len)))),
         }
     }
 }
 
-/// From which range on a ray of a laser saw nothing. Drivers and simulators write `inf` there (REP 117), `range_max`, a hair less, or a
-/// number of their own, with or without noise.
+/// Finds the range from which on a ray counts as out of range. For rays without a return, drivers and simulators write `inf` (REP
+/// 117), `range_max`, slightly less, or a value of their own, with or without noise.
 #[derive(Debug, Default)]
-struct Reach {
-    /// A number of the driver's own: the greatest range that many rays have had at once, m.
+struct OutOfRangeDetector {
+    /// The driver's own value for rays without a return: the maximum range that many rays have had at once, m.
     marker: Option<f64>,
 }
 
-impl Reach {
-    /// Readings this much alike, as a part of them, are one: what is left of a number that was rounded, shifted or had noise added.
-    const ALIKE: f64 = 0.004;
-    /// A flat wall has ranges that are so much alike within `2 sqrt(2 ALIKE)` rad, 10 degrees. Two of them can be seen at the same distance,
-    /// one at either end of a corridor; no more rays than that are walls.
-    const WIDEST_WALLS: f64 = 0.36;
-    /// A range this near to `range_max`, as a part of it, cannot be told from it.
-    const HAIR: f64 = 0.002;
+impl OutOfRangeDetector {
+    /// Maximum relative difference of equal readings: it covers a value that was rounded, shifted or had noise added.
+    const MAX_RELATIVE_DIFFERENCE: f64 = 0.004;
+    /// Maximum angle over which walls have equal ranges, rad. A flat wall has equal ranges within `2 sqrt(2
+    /// MAX_RELATIVE_DIFFERENCE)` rad, 10 degrees, and two walls can be at the same distance, one at either end of a corridor.
+    const MAX_WALL_ANGLE: f64 = 0.36;
+    /// Maximum relative difference of a range from `range_max` that still counts as `range_max`.
+    const RANGE_MAX_TOLERANCE: f64 = 0.002;
 
-    /// The least range that means nothing was seen.
-    fn least_of_nothing(&mut self, message: &LaserScan) -> f64 {
-        let limit = f64::from(message.range_max) * (1.0 - Self::HAIR);
-        let least = f64::from(message.range_min).max(0.0);
-        let readings = || message.ranges.iter().map(|&range| f64::from(range)).filter(|&range| range > least && range < limit);
-        let greatest = readings().fold(0.0, f64::max);
-        let alike = |range: f64, marker: f64| range >= (1.0 - Self::ALIKE) * marker;
-        self.marker.take_if(|marker| greatest > *marker * (1.0 + Self::ALIKE)); // something was seen beyond it
-        let rays = readings().filter(|&range| alike(range, greatest)).count();
-        let is_wide = rays as f64 * f64::from(message.angle_increment).abs() > Self::WIDEST_WALLS;
+    /// The minimum range that counts as out of range.
+    fn threshold(&mut self, message: &LaserScan) -> f64 {
+        let limit = f64::from(message.range_max) * (1.0 - Self::RANGE_MAX_TOLERANCE);
+        let range_min = f64::from(message.range_min).max(0.0);
+        let readings =
+            || message.ranges.iter().map(|&range| f64::from(range)).filter(|&range| range > range_min && range < limit);
+        let max_range = readings().fold(0.0, f64::max);
+        let is_equal = |range: f64, marker: f64| range >= (1.0 - Self::MAX_RELATIVE_DIFFERENCE) * marker;
+        self.marker.take_if(|marker| max_range > *marker * (1.0 + Self::MAX_RELATIVE_DIFFERENCE)); // a ray measured more, so it is not a marker
+        let rays = readings().filter(|&range| is_equal(range, max_range)).count();
+        let is_wide = rays as f64 * f64::from(message.angle_increment).abs() > Self::MAX_WALL_ANGLE;
         if self.marker.is_none() && is_wide && rays >= MIN_BEAMS {
-            self.marker = Some(greatest);
+            self.marker = Some(max_range);
         }
-        self.marker.map_or(limit, |marker| limit.min((1.0 - Self::ALIKE) * marker))
+        self.marker.map_or(limit, |marker| limit.min((1.0 - Self::MAX_RELATIVE_DIFFERENCE) * marker))
     }
 }
 
-/// How long its rays have taken one after the other as it says, s.
+/// Duration of the sweep of a message according to its time increment, s.
 fn sweep(message: &LaserScan) -> f64 {
     f64::from(message.time_increment).abs() * message.ranges.len() as f64
 }
 
-/// How a laser's scans follow one another: a sweep begins when the one before is over.
+/// The time between the scans of a laser: a sweep cannot last longer than until the next one begins.
 #[derive(Debug, Default)]
-struct Pace {
+struct ScanIntervals {
     frame: String,
     stamp: Option<Stamp>,
-    /// Times between the last scans that the same laser took in a row, s.
+    /// Times between the last consecutive scans of the laser, s.
     intervals: [f64; Self::KEPT],
-    /// How many there have been.
+    /// Number of intervals so far.
     count: usize,
 }
 
-impl Pace {
+impl ScanIntervals {
+    /// Number of intervals that are kept.
     const KEPT: usize = 10;
-    /// So many tell how long a sweep can take: stamps of two scans may be too near to one another.
-    const ENOUGH: usize = 3;
-    /// Clocks of laser and computer differ by less, as a part.
+    /// Minimum number of intervals to limit the sweep: the stamps of two scans may be too close to each other.
+    const MIN_COUNT: usize = 3;
+    /// Maximum relative difference between the clocks of laser and computer.
     const TOLERANCE: f64 = 0.1;
 
     fn add(&mut self, message: &LaserScan) {
@@ -569,11 +581,11 @@ impl Pace {
         }
     }
 
-    /// No sweep takes longer, s.
-    fn longest(&self) -> f64 {
+    /// The maximum duration of a sweep, s.
+    fn max_sweep_duration(&self) -> f64 {
         let known = &self.intervals[..self.count.min(Self::KEPT)];
-        let longest = known.iter().fold(0.0, |longest: f64, seconds| longest.max(*seconds));
-        if known.len() < Self::ENOUGH { f64::INFINITY } else { longest * (1.0 + Self::TOLERANCE) }
+        let max_interval = known.iter().fold(0.0, |max_interval: f64, seconds| max_interval.max(*seconds));
+        if known.len() < Self::MIN_COUNT { f64::INFINITY } else { max_interval * (1.0 + Self::TOLERANCE) }
     }
 }
 
@@ -585,7 +597,7 @@ fn check_header(message: &LaserScan) -> Result<(), ScanError> {
         ("range_max", message.range_max),
     ];
     for (field, value) in numbers {
-        // Some drivers say "no upper limit" with an infinite range_max.
+        // Some drivers express "no upper limit" by an infinite range_max.
         let unlimited = field == "range_max" && value == f32::INFINITY;
         if !value.is_finite() && !unlimited {
             return Err(ScanError::NotFinite { field, value });
@@ -614,8 +626,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wall_seen_in_passing_is_straight_again() {
-        // Past the wall y = 2 and turning: 20 ms from the first ray to the last.
+    fn a_wall_scanned_while_driving_is_straight_after_undistortion() {
+        // The laser passes the wall y = 2 and rotates: 20 ms from the first ray to the last.
         let twist = Twist2 { vx: 7.0, vy: 0.0, omega: 3.0 };
         let beams = BeamGeometry::new(0.6, 0.01, 181);
         let increment = 0.02 / 180.0;
@@ -625,32 +637,33 @@ mod tests {
         };
         let ranges = beams.directions().iter().enumerate().map(range).collect::<Vec<_>>();
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), ranges).unwrap().with_time_increment(increment);
-        let off = |scan: &Scan| (0..scan.len()).map(|i| (scan.point(i).unwrap().y - 2.0).abs()).fold(0.0, f64::max);
+        let error = |scan: &Scan| (0..scan.len()).map(|i| (scan.point(i).unwrap().y - 2.0).abs()).fold(0.0, f64::max);
         let undistorted = scan.undistorted(&twist, 0.0, scan.sweep_duration());
-        assert!(off(&scan) > 0.05 && off(&undistorted) < 1e-9);
+        assert!(error(&scan) > 0.05 && error(&undistorted) < 1e-9);
         assert!((scan.sweep_duration() - 0.02).abs() < 1e-12 && undistorted.sweep_duration() == 0.0);
     }
 
-    /// A laser with a beam for each degree, over so many degrees, that reads `range` in the direction `angle` (rad).
-    fn seen(degrees: usize, range: impl Fn(f64) -> f64) -> Result<Scan, ScanError> {
+    /// The scan of a laser with one beam per degree over this many degrees that measures `range` in the direction `angle` (rad).
+    fn scan_of(degrees: usize, range: impl Fn(f64) -> f64) -> Result<Scan, ScanError> {
         let beams = BeamGeometry::new(-(degrees as f64 / 2.0).to_radians(), 1_f64.to_radians(), degrees);
         let ranges: Vec<f64> = (0..degrees).map(|i| range(beams.angle(i))).collect();
-        Scan::new(Stamp::default(), beams.into(), (0.05, 30.0), ranges)?.of_surroundings()
+        Scan::new(Stamp::default(), beams.into(), (0.05, 30.0), ranges)?.reject_uniform()
     }
 
     #[test]
-    fn a_surface_that_goes_along_with_the_laser_says_nothing() {
+    fn scans_of_a_surface_that_moves_with_the_laser_are_rejected() {
         for (range, noise) in [(0.12, 0.01), (0.5, 0.05), (2.0, 0.01)] {
-            // What passes for noise here: the digits of a sine.
+            // Pseudo-noise: the digits of a sine.
             let noisy = |angle: f64| range + noise * (1e4 * angle).sin();
-            let same = |seen| matches!(seen, Err(ScanError::SameAllRound { range: said }) if (said - range).abs() < noise);
-            assert!(same(seen(270, noisy)), "{range} m");
-            assert!(same(seen(360, |angle| if angle.abs() < 0.1 { 5.0 } else { noisy(angle) })), "{range} m, and a gap");
+            let is_uniform =
+                |scan| matches!(scan, Err(ScanError::UniformRanges { range: reported }) if (reported - range).abs() < noise);
+            assert!(is_uniform(scan_of(270, noisy)), "{range} m");
+            assert!(is_uniform(scan_of(360, |angle| if angle.abs() < 0.1 { 5.0 } else { noisy(angle) })), "{range} m, and a gap");
         }
-        assert!(seen(60, |angle| 2.0 / angle.cos()).is_ok(), "a wall before a laser with a narrow view");
-        assert!(seen(90, |angle| 0.5 / angle.cos()).is_ok(), "a wall at hand");
-        assert!(seen(360, |angle| 1.0 / angle.cos().abs().max(angle.sin().abs())).is_ok(), "in the middle of a square");
+        assert!(scan_of(60, |angle| 2.0 / angle.cos()).is_ok(), "a wall in a narrow field of view");
+        assert!(scan_of(90, |angle| 0.5 / angle.cos()).is_ok(), "a near wall");
+        assert!(scan_of(360, |angle| 1.0 / angle.cos().abs().max(angle.sin().abs())).is_ok(), "in the middle of a square");
         let in_arena = |angle: f64| 0.2 * angle.cos() + (25.0 - (0.2 * angle.sin()).powi(2)).sqrt();
-        assert!(seen(360, in_arena).is_ok(), "20 cm from the middle of a round arena");
+        assert!(scan_of(360, in_arena).is_ok(), "20 cm from the middle of a round arena");
     }
 }

@@ -1,22 +1,23 @@
-//! Tables for people that fit the terminal: one too wide for it becomes a list.
+//! Text tables for the terminal: a table that is too wide is rendered as a list.
 
 use comfy_table::{CellAlignment, Table, presets};
 
-/// Rows under a header.
+/// A table with a header.
 pub(crate) struct TextTable {
     header: Vec<&'static str>,
     rows: Vec<Vec<String>>,
-    /// Columns from this one on are flush right.
-    first_number: usize,
+    /// Columns from this index on are right-aligned.
+    first_right_aligned: usize,
 }
 
 impl TextTable {
-    /// `rows` are as long as the header.
-    pub(crate) fn new(header: &[&'static str], rows: impl Iterator<Item = Vec<String>>, first_number: usize) -> Self {
-        Self { header: header.to_vec(), rows: rows.collect(), first_number }
+    /// Creates a table; all rows must have the length of the header.
+    pub(crate) fn new(header: &[&'static str], rows: impl Iterator<Item = Vec<String>>, first_right_aligned: usize) -> Self {
+        Self { header: header.to_vec(), rows: rows.collect(), first_right_aligned }
     }
 
-    /// As a table; where that is wider than `width` characters, as a list of the rows with a line for each cell. `None`: any width will do.
+    /// Renders the table, or, if that is wider than `width` characters, a list of the rows with one line per cell. `None`: no
+    /// limit.
     pub(crate) fn render(&self, width: Option<usize>) -> String {
         let table = self.table();
         let is_too_wide = |width| table.lines().any(|line| line.chars().count() > width);
@@ -26,15 +27,15 @@ impl TextTable {
     fn table(&self) -> String {
         let mut table = Table::new();
         table.load_style(presets::UTF8_BORDERS_ONLY).set_header(self.header.clone()).add_rows(self.rows.clone());
-        for column in table.column_iter_mut().skip(self.first_number) {
+        for column in table.column_iter_mut().skip(self.first_right_aligned) {
             column.set_cell_alignment(CellAlignment::Right);
         }
         table.to_string()
     }
 
     fn list(&self) -> String {
-        let longest = self.header.iter().map(|name| name.chars().count()).max().unwrap_or(0);
-        let cell = |(name, cell): (&&str, &String)| format!("  {name:longest$}  {cell}");
+        let longest_name = self.header.iter().map(|name| name.chars().count()).max().unwrap_or(0);
+        let cell = |(name, cell): (&&str, &String)| format!("  {name:longest_name$}  {cell}");
         let row = |row: &Vec<String>| {
             let title = format!("{}: {}", self.header.first().unwrap_or(&""), row.first().map_or("", String::as_str));
             let cells = self.header.iter().zip(row).skip(1).map(cell);
@@ -49,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_table_too_wide_becomes_a_list() {
+    fn a_table_that_is_too_wide_becomes_a_list() {
         let row = vec!["/scan".to_owned(), "sensor_msgs/LaserScan".into(), "400".into()];
         let table = TextTable::new(&["topic", "type", "messages"], [row].into_iter(), 2);
         assert_eq!(table.render(None), table.render(Some(80)));

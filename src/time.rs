@@ -1,4 +1,4 @@
-//! Message stamps: absolute times in whole nanoseconds, as ROS carries them, and how they go on from scan to scan.
+//! Message stamps: absolute times in whole nanoseconds, as in ROS, and the check of how the stamps of successive scans continue.
 
 mod continuity;
 
@@ -10,17 +10,18 @@ const NANOSECONDS_PER_SECOND: i64 = 1_000_000_000;
 
 /// The absolute time of a measurement, in nanoseconds since the epoch of its clock (wall, simulation or bag).
 ///
-/// Kept as an integer: at today's epoch seconds an `f64` resolves 0.24 microseconds only, and stamps must leave as they came.
+/// It is an integer because an `f64` resolves only 0.24 microseconds at the current epoch, and stamps must be published exactly
+/// as they were received.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Stamp(i64);
 
 impl Stamp {
-    /// From the two fields of a ROS `time`.
+    /// Creates a stamp from the two fields of a ROS `time`.
     pub fn from_ros(seconds: u32, nanoseconds: u32) -> Self {
         Self(i64::from(seconds) * NANOSECONDS_PER_SECOND + i64::from(nanoseconds))
     }
 
-    /// From nanoseconds since the epoch.
+    /// Creates a stamp from nanoseconds since the epoch.
     pub const fn from_nanoseconds(nanoseconds: i64) -> Self {
         Self(nanoseconds)
     }
@@ -30,13 +31,13 @@ impl Stamp {
         self.0
     }
 
-    /// From seconds since the epoch, to the nearest nanosecond that `seconds` can tell.
-    #[allow(clippy::cast_possible_truncation)] // saturates, as wanted
+    /// Creates a stamp from seconds since the epoch, rounded to whole nanoseconds.
+    #[allow(clippy::cast_possible_truncation)] // saturates, as intended
     pub fn from_seconds(seconds: f64) -> Self {
         Self((seconds * NANOSECONDS_PER_SECOND as f64).round() as i64)
     }
 
-    /// Seconds since the epoch (rounded: use it for plots and files of floating-point seconds only).
+    /// Seconds since the epoch. This is rounded: use it only for plots and for files with floating-point seconds.
     pub fn seconds(self) -> f64 {
         self.0 as f64 / NANOSECONDS_PER_SECOND as f64
     }
@@ -52,20 +53,20 @@ impl Stamp {
         }
     }
 
-    /// Seconds from `earlier` to `self`; negative when `earlier` is the later one. Exact to the nanosecond.
+    /// Seconds from `earlier` to `self`, negative if `earlier` is later. Exact to the nanosecond.
     pub fn seconds_since(self, earlier: Self) -> f64 {
         self.0.saturating_sub(earlier.0) as f64 / NANOSECONDS_PER_SECOND as f64
     }
 
-    /// The stamp `seconds` later (earlier when negative).
+    /// The stamp `seconds` later (earlier if negative).
     #[must_use]
-    #[allow(clippy::cast_possible_truncation)] // saturates, as wanted
+    #[allow(clippy::cast_possible_truncation)] // saturates, as intended
     pub fn offset_by(self, seconds: f64) -> Self {
         Self(self.0.saturating_add((seconds * NANOSECONDS_PER_SECOND as f64).round() as i64))
     }
 }
 
-/// Decimal seconds with nine digits, the form of TUM files.
+/// Decimal seconds with nine digits, as in TUM files.
 impl fmt::Display for Stamp {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let sign = if self.0 < 0 { "-" } else { "" };

@@ -1,4 +1,4 @@
-//! What `/tf` and `/tf_static` say of where the laser is mounted.
+//! Transforms of `/tf` and `/tf_static`, and the mount of the laser on the robot.
 
 use std::cmp::Ordering;
 use std::collections::HashMap;
@@ -14,75 +14,78 @@ use crate::messages::geometry_msgs;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::time::Stamp;
 
-/// No coordinate on Earth is greater, m: nor are those of UTM.
-pub const FARTHEST: f64 = 1e8;
-/// A chain longer than this is a loop.
+/// Maximum plausible coordinate, m: larger than any distance on Earth, and than UTM coordinates.
+pub const MAX_COORDINATE: f64 = 1e8;
+/// Maximum length of a chain of frames. A longer one is a loop.
 const MAX_CHAIN: usize = 100;
 
-/// The place of a laser on the robot, as far as it matters in the plane.
+/// The mount of a laser on the robot, reduced to what matters in the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mount {
-    /// Place and heading of the laser's x axis in the base frame.
+    /// Position and heading of the laser's x axis in the base frame.
     pub base_from_laser: Pose2,
-    /// Whether the laser is on its head: its sweep, seen from above, runs the other way round.
+    /// Whether the laser is mounted upside down: its sweep, seen from above, has the opposite direction.
     pub upside_down: bool,
-    /// Angle between the plane of its sweep and that of the base, rad, from 0 to pi / 2.
+    /// Angle between the scan plane and the plane of the base, rad, from 0 to pi / 2.
     pub tilt: f64,
-    /// From the laser's frame to a level one at the same place and heading of the base's plane: z is then the height above the base.
+    /// Transform from the laser's frame to a level frame at the laser's position, with its heading, in the plane of the base: z
+    /// is then the height above the base.
     pub level_from_laser: Isometry3<f64>,
 }
 
 impl Mount {
-    /// Of a laser at this place on the base.
-    fn of(base_from_laser: &Isometry3<f64>) -> Self {
+    /// The mount of a laser at this pose on the base.
+    fn new(base_from_laser: &Isometry3<f64>) -> Self {
         let forward = base_from_laser.rotation * Vector3::x();
         let up = base_from_laser.rotation * Vector3::z();
-        let place = base_from_laser.translation.vector;
+        let position = base_from_laser.translation.vector;
         let heading = forward.y.atan2(forward.x);
-        let base_from_level =
-            Isometry3::from_parts(Translation3::new(place.x, place.y, 0.0), UnitQuaternion::from_euler_angles(0.0, 0.0, heading));
+        let base_from_level = Isometry3::from_parts(
+            Translation3::new(position.x, position.y, 0.0),
+            UnitQuaternion::from_euler_angles(0.0, 0.0, heading),
+        );
         Self {
-            base_from_laser: Pose2::new(place.x, place.y, heading),
+            base_from_laser: Pose2::new(position.x, position.y, heading),
             upside_down: up.z < 0.0,
             tilt: up.z.abs().min(1.0).acos(),
             level_from_laser: base_from_level.inverse() * base_from_laser,
         }
     }
 
-    /// Refuses a laser whose sweep does not go along the floor.
+    /// Rejects a laser whose scan plane is tilted against the floor.
     pub fn check_level(&self, base: &str, laser: &str) -> Result<(), TiltedMount> {
-        if self.tilt > MOST_TILT {
+        if self.tilt > MAX_TILT {
             return Err(TiltedMount { laser: frame_name(laser).into(), base: frame_name(base).into(), tilt: self.tilt });
         }
         Ok(())
     }
 }
 
-/// The place of a laser on the robot, as a parameter.
+/// The pose of a laser on the robot, as a parameter.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LaserPlace {
-    /// Place and heading of the laser's x axis in the base frame.
+pub struct LaserPose {
+    /// Position and heading of the laser's x axis in the base frame.
     pub base_from_laser: Pose2,
-    /// Its turn about that axis, rad: pi is on its head. `None`: as the transforms say.
+    /// Roll about that axis, rad: pi is upside down. `None`: taken from the transforms.
     pub roll: Option<f64>,
 }
 
-impl LaserPlace {
-    /// Of a laser at this height, m, the right way up where nothing else is said.
+impl LaserPose {
+    /// The mount of the laser at this height, m; upright unless the roll is given.
     pub fn mount(&self, height: f64) -> Mount {
         let Pose2 { x, y, theta } = self.base_from_laser;
         let rotation = UnitQuaternion::from_euler_angles(self.roll.unwrap_or(0.0), 0.0, theta);
-        Mount::of(&Isometry3::from_parts(Translation3::new(x, y, height), rotation))
+        Mount::new(&Isometry3::from_parts(Translation3::new(x, y, height), rotation))
     }
 }
 
-impl From<Pose2> for LaserPlace {
+impl From<Pose2> for LaserPose {
     fn from(base_from_laser: Pose2) -> Self {
         Self { base_from_laser, roll: None }
     }
 }
 
-impl KnobValue for LaserPlace {
+impl KnobValue for LaserPose {
     fn from_value(value: &Value) -> Result<Self, String> {
         match numbers(value).as_deref() {
             Some(&[x, y, yaw]) => Ok(Pose2::new(x, y, radians(yaw)?).into()),
@@ -101,12 +104,12 @@ impl KnobValue for LaserPlace {
     }
 }
 
-/// A laser that does not look along the floor.
+/// The scan plane of a laser is tilted against the floor.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error(
-    "the sweep of '{laser}' is tilted by {:.0} degrees against '{base}': scans match in the plane only up to {:.0} (mend the \
+    "the sweep of '{laser}' is tilted by {:.0} degrees against '{base}': planar matching allows at most {:.0} (correct the \
      transform from '{base}' to '{laser}' or the roll in odometry.laser_in_base, or level the laser)",
-    .tilt.to_degrees(), MOST_TILT.to_degrees()
+    .tilt.to_degrees(), MAX_TILT.to_degrees()
 )]
 pub struct TiltedMount {
     /// The laser's frame.
@@ -117,68 +120,69 @@ pub struct TiltedMount {
     pub tilt: f64,
 }
 
-/// At this tilt, rad, a wall 10 m away seems 6 % farther, and the floor is seen from 1 m above it at 3 m.
-const MOST_TILT: f64 = 20.0 * PI / 180.0;
+/// Maximum tilt of the scan plane, rad. At this tilt, a wall at 10 m seems 6 % farther, and a laser 1 m above the floor sees it
+/// at 3 m.
+const MAX_TILT: f64 = 20.0 * PI / 180.0;
 
-/// A motion that is older than this says nothing of where a frame is, s.
-const LONGEST_MOTION: f64 = 0.5;
-/// A mount that seems to move faster was put elsewhere, m/s ...
-const FASTEST_MOUNT: f64 = 2.0;
-/// ... and rad/s.
-const FASTEST_TURN: f64 = 8.0;
+/// Maximum time between two transforms for interpolation, s.
+const MAX_INTERPOLATION_TIME: f64 = 0.5;
+/// Maximum speed of a moving mount, m/s. A faster one was remounted.
+const MAX_MOUNT_SPEED: f64 = 2.0;
+/// Maximum rotation rate of a moving mount, rad/s.
+const MAX_MOUNT_ROTATION_RATE: f64 = 8.0;
 
-/// The last known transform of every frame to its parent.
+/// The tree of frames: the last known transform of every frame to its parent.
 #[derive(Debug, Default)]
 pub struct TransformTree {
     parents: HashMap<String, Link>,
 }
 
-/// A frame's place in its parent.
+/// The pose of a frame in its parent.
 #[derive(Debug)]
 struct Link {
     parent: String,
     last: Isometry3<f64>,
     stamp: Stamp,
-    /// The one before, of a frame that moves.
+    /// The previous transform, if the frame moves.
     before: Option<(Stamp, Isometry3<f64>)>,
 }
 
 impl Link {
-    /// The place at a time, as the last two have it: a laser that pans is published at another rate than its scans are.
+    /// The pose at a time, interpolated from the last two: a panning laser is published at another rate than its scans.
     fn at(&self, stamp: Stamp) -> Isometry3<f64> {
-        self.moved_to(stamp).unwrap_or(self.last)
+        self.interpolated(stamp).unwrap_or(self.last)
     }
 
-    fn moved_to(&self, stamp: Stamp) -> Option<Isometry3<f64>> {
+    fn interpolated(&self, stamp: Stamp) -> Option<Isometry3<f64>> {
         let (start, before) = self.before?;
         let seconds = self.stamp.seconds_since(start);
         let motion = before.inverse() * self.last;
         let is_motion = seconds > 0.0
-            && seconds <= LONGEST_MOTION
-            && motion.translation.vector.norm() <= FASTEST_MOUNT * seconds
-            && motion.rotation.angle() <= FASTEST_TURN * seconds;
-        // As long again as they are apart it goes on as it did.
-        let part = (stamp.seconds_since(start) / seconds).clamp(0.0, 2.0);
+            && seconds <= MAX_INTERPOLATION_TIME
+            && motion.translation.vector.norm() <= MAX_MOUNT_SPEED * seconds
+            && motion.rotation.angle() <= MAX_MOUNT_ROTATION_RATE * seconds;
+        // Extrapolate by at most the interval between the two.
+        let fraction = (stamp.seconds_since(start) / seconds).clamp(0.0, 2.0);
         is_motion.then(|| {
-            let place = before.translation.vector.lerp(&self.last.translation.vector, part);
-            Isometry3::from_parts(place.into(), before.rotation * motion.rotation.powf(part))
+            let position = before.translation.vector.lerp(&self.last.translation.vector, fraction);
+            Isometry3::from_parts(position.into(), before.rotation * motion.rotation.powf(fraction))
         })
     }
 }
 
 impl TransformTree {
-    /// Takes a message; answers how many of its transforms are no rigid motion and were left out.
+    /// Adds the transforms of a message. Returns how many were rejected because they are not rigid motions.
     pub fn add(&mut self, message: &TFMessage) -> usize {
-        let mut refused = 0;
+        let mut rejected = 0;
         for stamped in &message.transforms {
             let (parent, child) = (frame_name(&stamped.header.frame_id), frame_name(&stamped.child_frame_id));
             let geometry_msgs::Transform { translation: t, rotation } = &stamped.transform;
             match rigid_motion([t.x, t.y, t.z], rotation) {
                 Some(transform) if parent != child => self.insert(parent, child, stamped.header.stamp.into(), transform),
-                _ => refused += 1,
+                _ => rejected += 1,
             }
         }
-        refused
+        rejected
     }
 
     fn insert(&mut self, parent: &str, child: &str, stamp: Stamp, last: Isometry3<f64>) {
@@ -191,16 +195,16 @@ impl TransformTree {
         self.parents.insert(child.to_owned(), Link { parent: parent.to_owned(), last, stamp, before });
     }
 
-    /// The frame that `frame` hangs from.
+    /// The parent of a frame.
     pub fn parent(&self, frame: &str) -> Option<&str> {
         self.parents.get(frame_name(frame)).map(|link| link.parent.as_str())
     }
 
-    /// Whether `frame` moves with `carrier`: it is that frame, or hangs from it, directly or through others.
-    pub fn carries(&self, carrier: &str, frame: &str) -> bool {
-        let (carrier, mut frame) = (frame_name(carrier), frame_name(frame));
+    /// Whether `ancestor` is `frame` itself or one of its ancestors, so that `frame` moves with it.
+    pub fn is_ancestor(&self, ancestor: &str, frame: &str) -> bool {
+        let (ancestor, mut frame) = (frame_name(ancestor), frame_name(frame));
         for _ in 0..MAX_CHAIN {
-            if frame == carrier {
+            if frame == ancestor {
                 return true;
             }
             let Some(parent) = self.parent(frame) else { return false };
@@ -209,88 +213,88 @@ impl TransformTree {
         false
     }
 
-    /// The place of `laser` on `base` by the last transforms, when the frames are connected.
+    /// The mount of `laser` on `base` from the last transforms; `None` if the frames are not connected.
     pub fn mount(&self, base: &str, laser: &str) -> Option<Mount> {
         self.mount_by(base, laser, |link| link.last)
     }
 
-    fn mount_by(&self, base: &str, laser: &str, place: impl Fn(&Link) -> Isometry3<f64>) -> Option<Mount> {
-        let (base_root, root_from_base) = self.root(base, &place)?;
-        let (laser_root, root_from_laser) = self.root(laser, &place)?;
+    fn mount_by(&self, base: &str, laser: &str, transform: impl Fn(&Link) -> Isometry3<f64>) -> Option<Mount> {
+        let (base_root, root_from_base) = self.root(base, &transform)?;
+        let (laser_root, root_from_laser) = self.root(laser, &transform)?;
         if base_root != laser_root {
             return None;
         }
-        Some(Mount::of(&(root_from_base.inverse() * root_from_laser)))
+        Some(Mount::new(&(root_from_base.inverse() * root_from_laser)))
     }
 
-    /// The place of a laser at a time: where the parameter says, else the transforms. They say how high it is, and which side is up where
-    /// the parameter does not.
-    pub fn laser_mount(&self, base: &str, laser: &str, stamp: Stamp, parameter: Option<LaserPlace>) -> Option<Mount> {
+    /// The mount of a laser at a time: from the parameter if it is set, else from the transforms. The transforms always give the
+    /// height, and the roll if the parameter does not.
+    pub fn laser_mount(&self, base: &str, laser: &str, stamp: Stamp, parameter: Option<LaserPose>) -> Option<Mount> {
         let by_transforms = self.mount_by(base, laser, |link| link.at(stamp));
-        let Some(place) = parameter else { return by_transforms };
+        let Some(pose) = parameter else { return by_transforms };
         Some(match by_transforms {
-            Some(mount) if place.roll.is_none() => Mount { base_from_laser: place.base_from_laser, ..mount },
-            Some(mount) => place.mount(mount.level_from_laser.translation.z),
-            None => place.mount(0.0),
+            Some(mount) if pose.roll.is_none() => Mount { base_from_laser: pose.base_from_laser, ..mount },
+            Some(mount) => pose.mount(mount.level_from_laser.translation.z),
+            None => pose.mount(0.0),
         })
     }
 
-    /// Refuses a laser whose sweep does not go along the floor: that of the first of these `bases` which it hangs from; where there is none,
-    /// of the frame that all others hang from.
+    /// Rejects a laser whose scan plane is tilted against the first of its ancestors among `bases`, or against the root of its
+    /// frames if there is none.
     pub fn check_level(&self, bases: &[&str], laser: &str) -> Result<(), TiltedMount> {
-        let carriers = self.ancestors(laser);
+        let ancestors = self.ancestors(laser);
         let is_base = |(frame, _): &&(&str, Isometry3<f64>)| bases.iter().any(|base| frame_name(base) == *frame);
-        let carrier = carriers.iter().find(is_base).or(carriers.last());
-        carrier.map_or(Ok(()), |(frame, frame_from_laser)| Mount::of(frame_from_laser).check_level(frame, laser))
+        let base = ancestors.iter().find(is_base).or(ancestors.last());
+        base.map_or(Ok(()), |(frame, frame_from_laser)| Mount::new(frame_from_laser).check_level(frame, laser))
     }
 
-    /// The place of `inner` in the frame `outer`, when they are connected without any of the frames that either is `moving` in.
-    pub fn fixed(&self, outer: &str, inner: &str, moving: &[&str]) -> Option<Isometry3<f64>> {
+    /// The transform from `inner` to `outer`, if they are connected without passing through any of the `moving` frames.
+    pub fn fixed_transform(&self, outer: &str, inner: &str, moving: &[&str]) -> Option<Isometry3<f64>> {
         let (of_outer, of_inner) = (self.ancestors(outer), self.ancestors(inner));
-        let meets = |(frame, _): &&(&str, Isometry3<f64>)| of_inner.iter().any(|(other, _)| other == frame);
-        let &(meeting, meeting_from_outer) = of_outer.iter().find(meets)?;
-        let &(_, meeting_from_inner) = of_inner.iter().find(|(frame, _)| *frame == meeting)?;
-        let up_to_meeting = |chain: &[(&str, Isometry3<f64>)]| {
-            let below = chain.iter().take_while(|(frame, _)| *frame != meeting);
-            below.map(|(frame, _)| *frame).chain([meeting]).any(|frame| moving.contains(&frame))
+        let is_common = |(frame, _): &&(&str, Isometry3<f64>)| of_inner.iter().any(|(other, _)| other == frame);
+        let &(common, common_from_outer) = of_outer.iter().find(is_common)?;
+        let &(_, common_from_inner) = of_inner.iter().find(|(frame, _)| *frame == common)?;
+        let passes_moving = |chain: &[(&str, Isometry3<f64>)]| {
+            let below = chain.iter().take_while(|(frame, _)| *frame != common);
+            below.map(|(frame, _)| *frame).chain([common]).any(|frame| moving.contains(&frame))
         };
-        let is_loose = up_to_meeting(&of_outer) || up_to_meeting(&of_inner);
-        (!is_loose).then(|| meeting_from_outer.inverse() * meeting_from_inner)
+        let is_moving = passes_moving(&of_outer) || passes_moving(&of_inner);
+        (!is_moving).then(|| common_from_outer.inverse() * common_from_inner)
     }
 
-    /// A frame and those that it hangs from, each with the place of the frame in it.
+    /// A frame and its ancestors, each with the pose of the frame in it.
     fn ancestors<'a>(&'a self, frame: &'a str) -> Vec<(&'a str, Isometry3<f64>)> {
         let first = (frame_name(frame), Isometry3::identity());
-        let up = |(frame, from_start): &(&'a str, Isometry3<f64>)| {
-            self.parents.get(*frame).map(|link| (link.parent.as_str(), link.last * from_start))
+        let up = |(frame, ancestor_from_frame): &(&'a str, Isometry3<f64>)| {
+            self.parents.get(*frame).map(|link| (link.parent.as_str(), link.last * ancestor_from_frame))
         };
         std::iter::successors(Some(first), up).take(MAX_CHAIN).collect()
     }
 
-    /// The frame that all that `frame` hangs from hang from, and the frame's place in it.
-    fn root<'a>(&'a self, frame: &'a str, place: impl Fn(&Link) -> Isometry3<f64>) -> Option<(&'a str, Isometry3<f64>)> {
+    /// The root of a frame, and the pose of the frame in it.
+    fn root<'a>(&'a self, frame: &'a str, transform: impl Fn(&Link) -> Isometry3<f64>) -> Option<(&'a str, Isometry3<f64>)> {
         let mut frame = frame_name(frame);
-        let mut from_start = Isometry3::identity();
+        let mut ancestor_from_frame = Isometry3::identity();
         for _ in 0..MAX_CHAIN {
-            let Some(link) = self.parents.get(frame) else { return Some((frame, from_start)) };
-            from_start = place(link) * from_start;
+            let Some(link) = self.parents.get(frame) else { return Some((frame, ancestor_from_frame)) };
+            ancestor_from_frame = transform(link) * ancestor_from_frame;
             frame = &link.parent;
         }
         None
     }
 }
 
-/// tf2 knows no leading slash, older nodes write one.
+/// The name of a frame without a leading slash: tf2 has none, older nodes write one.
 pub fn frame_name(frame: &str) -> &str {
     frame.trim_start_matches('/')
 }
 
-/// The motion in space of a message; `None`: it is none.
-pub fn rigid_motion(place: [f64; 3], rotation: &geometry_msgs::Quaternion) -> Option<Isometry3<f64>> {
-    let [x, y, z] = place;
+/// The rigid motion of a message; `None` if it is invalid.
+pub fn rigid_motion(position: [f64; 3], rotation: &geometry_msgs::Quaternion) -> Option<Isometry3<f64>> {
+    let [x, y, z] = position;
     let rotation = UnitQuaternion::try_new(Quaternion::new(rotation.w, rotation.x, rotation.y, rotation.z), 1e-3)?;
     let isometry = Isometry3::from_parts(Translation3::new(x, y, z), rotation);
-    let is_rigid = rotation.coords.iter().all(|v| v.is_finite()) && place.iter().all(|v| v.abs() <= FARTHEST);
+    let is_rigid = rotation.coords.iter().all(|v| v.is_finite()) && position.iter().all(|v| v.abs() <= MAX_COORDINATE);
     is_rigid.then_some(isometry)
 }
 
@@ -299,7 +303,7 @@ mod tests {
     use super::*;
     use crate::messages::std_msgs::Header;
 
-    /// Parent, child, and how far ahead of the parent the child is, m.
+    /// A tree of transforms: parent, child, and the x coordinate of the child in the parent, m.
     fn tree(transforms: &[(&str, &str, f64)]) -> TransformTree {
         let stamped = |&(parent, child, x): &(&str, &str, f64)| geometry_msgs::TransformStamped {
             header: Header { frame_id: parent.into(), ..Header::default() },
@@ -312,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mount_that_moves_is_carried_on_to_the_scan() {
+    fn a_moving_mount_is_interpolated_to_the_time_of_the_scan() {
         let mut tree = TransformTree::default();
         for (seconds, yaw) in [(0.9, 0.1), (1.0, 0.1), (0.9, 0.1), (1.0, 0.1), (1.1, 0.3), (1.1, 0.3)] {
             let stamp = Stamp::from_seconds(seconds).into();
@@ -334,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_fixed_to_one_another_unless_one_moves_in_between() {
+    fn frames_are_fixed_to_each_other_unless_a_moving_frame_connects_them() {
         let tree = tree(&[
             ("map", "odom", 5.0),
             ("odom", "base_footprint", 7.0),
@@ -343,11 +347,11 @@ mod tests {
             ("camera_odom", "camera_pose", 2.0),
             ("map", "camera_odom", 1.0),
         ]);
-        let ahead = |outer, inner| tree.fixed(outer, inner, &["odom", "map"]).map(|place| place.translation.x);
-        assert!((ahead("base_footprint", "/base_link").unwrap() - 0.1).abs() < 1e-12);
-        assert!((ahead("camera", "base_link").unwrap() + 0.3).abs() < 1e-12);
-        assert!((ahead("camera", "base_footprint").unwrap() + 0.4).abs() < 1e-12);
-        assert_eq!(ahead("camera_pose", "base_link"), None, "only through the map");
-        assert_eq!(ahead("nowhere", "base_link"), None);
+        let distance = |outer, inner| tree.fixed_transform(outer, inner, &["odom", "map"]).map(|pose| pose.translation.x);
+        assert!((distance("base_footprint", "/base_link").unwrap() - 0.1).abs() < 1e-12);
+        assert!((distance("camera", "base_link").unwrap() + 0.3).abs() < 1e-12);
+        assert!((distance("camera", "base_footprint").unwrap() + 0.4).abs() < 1e-12);
+        assert_eq!(distance("camera_pose", "base_link"), None, "connected only through the map");
+        assert_eq!(distance("nowhere", "base_link"), None);
     }
 }

@@ -1,6 +1,6 @@
-/* Shared memory between the scan matcher's node and a controller on the same machine: call for the answer now, and learn of
- * each completed estimate. Linux; C11 or C++11, GCC or Clang. Link with -lrt where glibc is older than 2.34. Include this file
- * before any other, or define _GNU_SOURCE. The node's side, and the same layout in Rust: src/shared_memory/.
+/* Shared memory between the scan matcher's node and a controller on the same machine. The controller can request an answer now,
+ * and wait for each completed estimate. Linux; C11 or C++11, GCC or Clang. Link with -lrt if glibc is older than 2.34. Include
+ * this file before any other, or define _GNU_SOURCE. The node's side, and the same layout in Rust: src/shared_memory/.
  *
  *     #include <anytime_scan_matcher/shared_memory.h>
  *     #include <stdio.h>
@@ -19,20 +19,22 @@
  *       return status;
  *     }
  *
- * The protocol. All words are counts that wrap around; none is ever set back. An edge is the difference of two counts, so that
- * none is lost by looking late, and none seen twice.
- *   A controller adds 1 to `requested`; the sum is the number of its request. Then it looks at `idle` (both sequentially
+ * The protocol. Requests, answers and estimates are counted. The counts wrap around, and none is ever reset. Events are detected
+ * as the difference of two counts, so that none is missed by checking late, and none is seen twice.
+ *   A controller adds 1 to `requested`; the sum is the number of its request. Then it reads `idle` (both sequentially
  *   consistent): if it is set, it wakes the futex `requested`.
- *   A node at work on a scan looks between iterations whether `requested` is beyond `acknowledged`. With the estimate complete it
- *   writes it, adds 1 to `completed` (release), sets `idle`, then looks at `requested` (both sequentially consistent), stores that
- *   as `acknowledged` (release) and wakes both futexes. An idle node, once woken, does the last step only: the answer is the newest
- *   estimate there is. Taking up a scan it clears `idle` and does the same once more: later requests are for that scan.
- *   A controller's request is answered once `acknowledged` (acquire) has reached its number; any number of controllers may ask.
+ *   A node that processes a scan checks between iterations whether `requested` is ahead of `acknowledged`. When the estimate is
+ *   complete, it writes it, adds 1 to `completed` (release), sets `idle`, then reads `requested` (both sequentially consistent),
+ *   stores that as `acknowledged` (release) and wakes both futexes. An idle node, once woken, does only the last step: the answer
+ *   is the newest estimate. When it begins to process a scan, it clears `idle` and does the same again: later requests are for
+ *   that scan.
+ *   A controller's request is answered once `acknowledged` (acquire) has reached its number. Any number of controllers may make
+ *   requests.
  *   The estimate is written and read through a sequence lock. Writer: sequence + 1 (odd); release fence; fields; sequence + 1
- *   (release). Reader: sequence (acquire); fields; acquire fence; sequence again: the same even number, or read again.
- *   The node holds an exclusive flock on the segment as long as it lives; the kernel releases it whatever way the node dies.
+ *   (release). Reader: sequence (acquire); fields; acquire fence; sequence again: if it is not the same even number, read again.
+ *   The node holds an exclusive flock on the segment as long as it is alive; the kernel releases it however the node dies.
  *
- * Every function may be called from several threads at once, but for anytime_open and anytime_close. */
+ * Every function except anytime_open and anytime_close may be called from several threads at once. */
 #ifndef ANYTIME_SCAN_MATCHER_SHARED_MEMORY_H
 #define ANYTIME_SCAN_MATCHER_SHARED_MEMORY_H
 
@@ -65,12 +67,12 @@ extern "C" {
 #define ANYTIME_MAGIC UINT64_C(0x4e41435354594e41)
 #define ANYTIME_VERSION 1u
 #define ANYTIME_SIZE 512u
-/* A wait looks at memory for this long before it sleeps, ns. */
+/* Time for which a wait polls the memory before it sleeps, ns. */
 #define ANYTIME_SPIN INT64_C(10000)
-/* Who sleeps looks this often whether the node lives, ns. */
+/* Period at which a sleeping controller checks that the node is alive, ns. */
 #define ANYTIME_PEER_CHECK INT64_C(50000000)
 
-/* What the functions return. */
+/* Return values of the functions. */
 enum anytime_status {
   ANYTIME_OK = 0,
   ANYTIME_NO_ESTIMATE, /* answered, but no estimate has been completed yet */
@@ -86,50 +88,50 @@ enum anytime_status {
   ANYTIME_SYSTEM_ERROR /* see errno */
 };
 
-/* Of anytime_estimate.flags. */
+/* Bits of anytime_estimate.flags. */
 enum anytime_flag {
   ANYTIME_PRESENT = 1,      /* there is an estimate */
   ANYTIME_MATCHED = 2,      /* the scan was matched; without it the pose is the prediction */
-  ANYTIME_DEADLINE_MET = 4, /* the answer came in time */
-  ANYTIME_INTERRUPTED = 8   /* a request cut the refinement short */
+  ANYTIME_DEADLINE_MET = 4, /* the deadline was met */
+  ANYTIME_INTERRUPTED = 8   /* a request ended the refinement early */
 };
 
-/* An estimate as it lies in the segment, after the sequence number. */
+/* An estimate, with the fields of the segment after the sequence number. */
 struct anytime_estimate {
   uint32_t flags;
-  uint32_t number;            /* the count of completed estimates that this one made; its parity was icp_state's value */
+  uint32_t number;            /* number of completed estimates including this one; its parity was icp_state's value */
   uint32_t stamp_seconds;     /* of the scan */
   uint32_t stamp_nanoseconds;
   uint32_t reserved;
-  double x;                   /* base in the odometry frame, m */
+  double x;                   /* position of the base in the odometry frame, m */
   double y;                   /* m */
   double theta;               /* rad, in (-pi, pi] */
-  double position_deviation;  /* one sigma, m; infinite if not known */
-  double heading_deviation;   /* one sigma, rad; infinite if not known */
+  double position_deviation;  /* standard deviation, m; infinite if unknown */
+  double heading_deviation;   /* standard deviation, rad; infinite if unknown */
   uint64_t elapsed_nanoseconds; /* from the scan's arrival to this estimate */
 };
 
-/* The segment. Touch it through the __atomic functions only. */
+/* The segment. Access it only through the __atomic functions. */
 struct anytime_segment {
-  uint64_t magic; /* stored last: a segment that has it is complete */
+  uint64_t magic; /* stored last: a segment with this value is completely initialized */
   uint32_t version;
   uint32_t size;
-  uint32_t owner;  /* process id of the node, for messages only */
-  uint32_t closed; /* 1: the node has closed the segment, nothing more will come */
+  uint32_t owner;  /* process id of the node, only for messages */
+  uint32_t closed; /* 1: the node has closed the segment, there will be no more answers */
   uint8_t padding_of_identity[104];
-  uint32_t requested; /* requests ever made, by controllers; futex */
+  uint32_t requested; /* number of requests made; written by controllers; futex */
   uint8_t padding_of_controller[124];
-  uint32_t acknowledged; /* number of the last request answered, and with it of all before; by the node; futex */
-  uint32_t completed;    /* estimates completed; parity: the topic icp_state; by the node; futex */
-  uint32_t idle;         /* 1: a request must wake the futex `requested`; by the node */
+  uint32_t acknowledged; /* number of the last answered request; earlier ones are answered, too; written by the node; futex */
+  uint32_t completed;    /* number of estimates completed; parity: the topic icp_state; written by the node; futex */
+  uint32_t idle;         /* 1: a request must wake the futex `requested`; written by the node */
   uint8_t padding_of_node[116];
-  uint32_t sequence; /* odd while the node writes what follows */
+  uint32_t sequence; /* odd while the node writes the fields below */
   uint32_t flags;
   uint32_t number;
   uint32_t stamp_seconds;
   uint32_t stamp_nanoseconds;
   uint32_t reserved;
-  uint64_t x; /* bits of a double, as the next four */
+  uint64_t x; /* bits of a double, like the next four */
   uint64_t y;
   uint64_t theta;
   uint64_t position_deviation;
@@ -138,7 +140,7 @@ struct anytime_segment {
   uint8_t padding_of_estimate[56];
 };
 
-/* What SYS_futex takes. */
+/* SYS_futex takes a timespec of two longs. */
 ANYTIME_ASSERT(sizeof(time_t) == sizeof(long));
 ANYTIME_ASSERT(sizeof(struct anytime_segment) == ANYTIME_SIZE);
 ANYTIME_ASSERT(offsetof(struct anytime_segment, magic) == 0);
@@ -163,31 +165,31 @@ ANYTIME_ASSERT(offsetof(struct anytime_segment, position_deviation) == 432);
 ANYTIME_ASSERT(offsetof(struct anytime_segment, heading_deviation) == 440);
 ANYTIME_ASSERT(offsetof(struct anytime_segment, elapsed_nanoseconds) == 448);
 
-/* A controller's hold on a segment. */
+/* A controller's access to a segment. */
 struct anytime_client {
   struct anytime_segment *segment;
   int file;
 };
 
-/* What a status means, and what helps. */
+/* Meaning of a status, and the remedy. */
 static inline const char *anytime_message(int status) {
   switch (status) {
     case ANYTIME_OK: return "no error";
     case ANYTIME_NO_ESTIMATE: return "no estimate has been completed yet: wait for one";
-    case ANYTIME_TIMED_OUT: return "nothing came in time: try again, or allow more time";
-    case ANYTIME_CLOSED: return "the node has closed the segment: open it again once the node is back";
-    case ANYTIME_OWNER_DIED: return "the node is gone: open the segment again once it is back";
-    case ANYTIME_HALF_WRITTEN: return "the newest estimate is half written and stays so: the node is stopped, or starved of processor time";
+    case ANYTIME_TIMED_OUT: return "timed out: try again, or allow more time";
+    case ANYTIME_CLOSED: return "the node has closed the segment: open it again once the node has been restarted";
+    case ANYTIME_OWNER_DIED: return "the node has died: open the segment again once the node has been restarted";
+    case ANYTIME_HALF_WRITTEN: return "the newest estimate remains half written: the node is stopped, or gets no processor time";
     case ANYTIME_ABSENT: return "there is no such segment: start the node, and give both the same name";
     case ANYTIME_DENIED: return "the segment belongs to another user: run the node and the controller as the same user";
-    case ANYTIME_WRONG_SIZE: return "the segment has another size: try again if the node is just starting, else bring both to the same version";
-    case ANYTIME_WRONG_MAGIC: return "no segment of the scan matcher: try again if the node is just starting, else choose another name";
-    case ANYTIME_WRONG_VERSION: return "the segment has another layout: bring the node and the controller to the same version";
-    default: return "the operating system refused, errno says why: is /dev/shm there?";
+    case ANYTIME_WRONG_SIZE: return "wrong size of the segment: try again if the node is just starting, otherwise update both to the same version";
+    case ANYTIME_WRONG_MAGIC: return "not a segment of the scan matcher: try again if the node is just starting, otherwise choose another name";
+    case ANYTIME_WRONG_VERSION: return "the segment has another layout: update the node and the controller to the same version";
+    default: return "error of the operating system, see errno: check that /dev/shm exists";
   }
 }
 
-/* Whether the node still serves the segment: nobody else can have the lock while it lives. */
+/* Checks that the node still serves the segment: no one else can get the lock while it is alive. */
 static inline int anytime_check_peer(const struct anytime_client *client) {
   if (__atomic_load_n(&client->segment->closed, __ATOMIC_ACQUIRE) != 0) return ANYTIME_CLOSED;
   if (flock(client->file, LOCK_SH | LOCK_NB) != 0) return ANYTIME_OK;
@@ -195,7 +197,7 @@ static inline int anytime_check_peer(const struct anytime_client *client) {
   return ANYTIME_OWNER_DIED;
 }
 
-/* Gives back what anytime_open took. */
+/* Releases the resources of anytime_open. */
 static inline void anytime_close(struct anytime_client *client) {
   if (client->segment != NULL) munmap(client->segment, ANYTIME_SIZE);
   if (client->file >= 0) close(client->file);
@@ -215,7 +217,7 @@ static inline int anytime_map(struct anytime_client *client) {
   return ANYTIME_OK;
 }
 
-/* Whether the segment is one of this layout, and served. */
+/* Checks that the segment has this layout, and that a node serves it. */
 static inline int anytime_check(const struct anytime_client *client) {
   if (__atomic_load_n(&client->segment->magic, __ATOMIC_ACQUIRE) != ANYTIME_MAGIC) return ANYTIME_WRONG_MAGIC;
   if (__atomic_load_n(&client->segment->version, __ATOMIC_RELAXED) != ANYTIME_VERSION) return ANYTIME_WRONG_VERSION;
@@ -223,7 +225,7 @@ static inline int anytime_check(const struct anytime_client *client) {
   return anytime_check_peer(client);
 }
 
-/* Opens the segment of a node that runs. On failure there is nothing to close. */
+/* Opens the segment of a running node. On failure there is nothing to close. */
 static inline int anytime_open(struct anytime_client *client, const char *name) {
   int status;
   client->segment = NULL;
@@ -235,7 +237,7 @@ static inline int anytime_open(struct anytime_client *client, const char *name) 
   return status;
 }
 
-/* Calls for the answer now; the number of the request. */
+/* Requests an answer now. Returns the number of the request. */
 static inline uint32_t anytime_request(const struct anytime_client *client) {
   uint32_t *requested = &client->segment->requested;
   uint32_t number = __atomic_add_fetch(requested, 1, __ATOMIC_SEQ_CST);
@@ -245,7 +247,7 @@ static inline uint32_t anytime_request(const struct anytime_client *client) {
   return number;
 }
 
-/* Estimates completed so far; its parity is the value of the topic icp_state. */
+/* Number of estimates completed so far; its parity is the value of the topic icp_state. */
 static inline uint32_t anytime_completed(const struct anytime_client *client) {
   return __atomic_load_n(&client->segment->completed, __ATOMIC_ACQUIRE);
 }
@@ -257,10 +259,10 @@ static inline int64_t anytime_now(void) {
 }
 
 static inline void anytime_sleep(uint32_t *word, uint32_t value, int64_t nanoseconds) {
-  struct timespec longest;
-  longest.tv_sec = (time_t)(nanoseconds / INT64_C(1000000000));
-  longest.tv_nsec = (long)(nanoseconds % INT64_C(1000000000));
-  syscall(SYS_futex, word, FUTEX_WAIT, value, &longest, NULL, 0); /* the caller looks again, whatever ended it */
+  struct timespec timeout;
+  timeout.tv_sec = (time_t)(nanoseconds / INT64_C(1000000000));
+  timeout.tv_nsec = (long)(nanoseconds % INT64_C(1000000000));
+  syscall(SYS_futex, word, FUTEX_WAIT, value, &timeout, NULL, 0); /* the caller checks the word in any case */
 }
 
 /* Waits until *word - bound, a wrapping difference, is below 2^31. */
@@ -268,7 +270,7 @@ static inline int anytime_wait(const struct anytime_client *client, uint32_t *wo
   const int64_t start = anytime_now();
   for (;;) {
     const int64_t waited = anytime_now() - start;
-    /* Before the word: what the node did last still counts. */
+    /* Checked before the word is read, so that the last count of a node that has just died is not missed. */
     const int peer = waited < ANYTIME_SPIN ? (int)ANYTIME_OK : anytime_check_peer(client);
     const uint32_t value = __atomic_load_n(word, __ATOMIC_ACQUIRE);
     const int64_t left = timeout_nanoseconds - waited;
@@ -286,7 +288,7 @@ static inline double anytime_load_double(const uint64_t *bits) {
   return value;
 }
 
-/* One attempt to read: whether the node was not writing meanwhile. */
+/* Tries to read the estimate once. Returns whether it is consistent: the node was not writing meanwhile. */
 static inline int anytime_try_read(const struct anytime_segment *from, struct anytime_estimate *to) {
   const uint32_t before = __atomic_load_n(&from->sequence, __ATOMIC_ACQUIRE);
   to->flags = __atomic_load_n(&from->flags, __ATOMIC_RELAXED);
@@ -304,7 +306,7 @@ static inline int anytime_try_read(const struct anytime_segment *from, struct an
   return before % 2 == 0 && __atomic_load_n(&from->sequence, __ATOMIC_RELAXED) == before;
 }
 
-/* Reads the newest estimate. Gives up after some 60 ms of a node that writes and does not finish. */
+/* Reads the newest estimate. Gives up after some 60 ms if the node does not finish writing. */
 static inline int anytime_read_newest(const struct anytime_client *client, struct anytime_estimate *estimate) {
   const struct timespec pause = {0, 100000};
   int attempt, peer;
@@ -318,7 +320,8 @@ static inline int anytime_read_newest(const struct anytime_client *client, struc
   return peer != ANYTIME_OK ? peer : (int)ANYTIME_HALF_WRITTEN;
 }
 
-/* Waits for the answer to a request and reads it: the newest estimate, completed before the answer was given. Zeros if none. */
+/* Waits for the answer to a request and reads it: the newest estimate, completed before the answer was given. Zeros
+ * if there is none. */
 static inline int anytime_wait_for_answer(
     const struct anytime_client *client, uint32_t request, int64_t timeout_nanoseconds, struct anytime_estimate *estimate) {
   const int status = anytime_wait(client, &client->segment->acknowledged, request, timeout_nanoseconds);
@@ -326,8 +329,8 @@ static inline int anytime_wait_for_answer(
   return status != ANYTIME_OK ? status : anytime_read_newest(client, estimate);
 }
 
-/* Waits until *completed, a count seen before, is exceeded, and sets it to the count now. The wrapping difference of the two is the
- * number of edges between: none is lost, however late this is called. */
+/* Waits until the count of completed estimates exceeds *completed, and sets *completed to it. The wrapping difference of the
+ * two is the number of estimates completed since; none is missed, however late this is called. */
 static inline int anytime_wait_for_completion(const struct anytime_client *client, uint32_t *completed, int64_t timeout_nanoseconds) {
   const int status = anytime_wait(client, &client->segment->completed, *completed + 1, timeout_nanoseconds);
   if (status == ANYTIME_OK) *completed = anytime_completed(client);

@@ -1,17 +1,17 @@
-//! The clock that time contracts are kept by: injected, so that replays can be exact to the last bit.
+//! Clocks for time contracts. They are injected, so that replays can be reproducible to the last bit.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use super::cost_model::Phase;
 
-/// A clock that never goes back. Only differences of its readings mean anything.
+/// A monotonic clock. Only differences between its readings are meaningful.
 pub trait Clock: Send + Sync {
     /// Time since the clock's origin.
     fn now(&self) -> Duration;
 
-    /// Work of a phase on so many rays has just been done. A clock of a machine that is but modelled moves on by what it would have taken.
-    fn worked(&self, _phase: Phase, _rays: usize) {}
+    /// Reports that work of a phase on this many rays has just been done. A simulated clock advances by the modelled cost.
+    fn work_done(&self, _phase: Phase, _rays: usize) {}
 }
 
 /// The machine's monotonic clock.
@@ -32,8 +32,7 @@ impl Clock for MonotonicClock {
     }
 }
 
-/// The processor time of the thread that reads it: what others on the same machine take away does not count. A thread that sleeps
-/// stops it.
+/// CPU time of the calling thread: preemption by other processes does not count, nor does sleep.
 #[cfg(all(feature = "cli", target_os = "linux"))]
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ProcessorClock;
@@ -47,7 +46,7 @@ impl Clock for ProcessorClock {
     }
 }
 
-/// A clock that moves on by the same tick at every reading: time as a count of readings, the same in every run.
+/// A clock that advances by the same tick at every reading, so that it is the same in every run.
 #[derive(Debug)]
 pub struct VirtualClock {
     tick: Duration,
@@ -55,7 +54,7 @@ pub struct VirtualClock {
 }
 
 impl VirtualClock {
-    /// A clock that advances by `tick` per reading.
+    /// Creates a clock that advances by `tick` per reading.
     pub const fn new(tick: Duration) -> Self {
         Self { tick, readings: AtomicU64::new(0) }
     }

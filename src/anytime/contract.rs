@@ -1,4 +1,4 @@
-//! The time contract: answer within delta, with an error of at most epsilon.
+//! The time contract: answer within a time delta, with an error of at most epsilon.
 
 use std::fmt;
 use std::time::Duration;
@@ -9,48 +9,52 @@ use crate::knobs::Seconds;
 use crate::messages::own;
 
 crate::knobs! {
-    /// The contract in force until another one is given at run time.
+    /// Default contract, in force until another one is received at run time.
     pub struct ContractKnobs {
-        /// Time from a scan's arrival to its pose; 0: run to completion.
+        /// Time budget from the arrival of a scan to its pose; 0: run to completion.
         time_budget: Seconds = Seconds(0.0), in 0 to 60, unit "s";
-        /// Stop as soon as the position is known to this, with 95 % (three standard deviations); 0: no bound.
+        /// Stop as soon as three standard deviations of the position are below this, which holds for at least 95 % of the
+        /// answers; 0: no bound.
         translation_error_bound: f64 = 0.0, in 0 to 100, unit "m";
-        /// Stop as soon as the heading is known to this, with 95 % (three standard deviations); 0: no bound.
+        /// Stop as soon as three standard deviations of the heading are below this, which holds for at least 95 % of the answers;
+        /// 0: no bound.
         rotation_error_bound: f64 = 0.0, in 0 to 4, unit "rad";
-        /// Go on refining after an answer that had no time to be finished, or that is the next reference, until the next scan is here:
-        /// what follows starts from the better pose. The answer itself stays.
+        /// Continue to refine an answer after it has been published, if the time budget ended it early or if it becomes the
+        /// reference, until the next scan arrives. Later scans start from the better pose; the published answer does not change.
         finish_after_answer: bool = true;
-        /// Share of the answers to be in time where the time budget ends the work on them: high keeps deadlines, low uses the time up to
-        /// the last.
+        /// Fraction of the answers limited by the time budget that must be on time: a high value keeps deadlines, a low one uses
+        /// more of the budget.
         confidence: f64 = 0.9998, in 0.5 to 0.9999;
-        /// Shared memory by which a controller on the same machine calls for answers, such as `/anytime_scan_matcher`; unset: none.
+        /// Name of the shared memory through which a controller on the same machine requests answers, such as
+        /// `/anytime_scan_matcher`; unset: none.
         shared_memory: Option<String> = None;
-        /// Profile that `anytime profile` has written: the report says what error it leads to expect of the time budget.
+        /// Profile written by `anytime profile`: the report then states the error to expect for the time budget.
         profile: Option<String> = None;
-        /// File to keep the learned costs in from run to run: read at start if it is there, written on exit.
+        /// File that keeps the learned costs between runs: read at start if it exists, written on exit.
         cost_file: Option<String> = None;
     }
 }
 
-/// An error bound is to hold for 95 % of the answers at least: so many standard deviations are compared with it. Two were enough for
-/// noise alone; what is left to converge is known less well.
+/// An error bound must hold for at least 95 % of the answers, so this many standard deviations are compared with it. Two were
+/// enough for noise alone, but the remaining convergence error is known less well.
 pub const BOUND_SIGMAS: f64 = 3.0;
 
-/// What the controller asks of every answer.
+/// What the controller demands of every answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Contract {
-    /// Time from a scan's arrival to its pose; `None`: as long as it takes.
+    /// Time from a scan's arrival to its pose; `None`: no limit.
     pub time_budget: Option<Duration>,
-    /// Error of the position that is good enough, m.
+    /// Position error to stop at, m.
     pub translation_error_bound: Option<f64>,
-    /// Error of the heading that is good enough, rad.
+    /// Heading error to stop at, rad.
     pub rotation_error_bound: Option<f64>,
 }
 
-/// Why a contract is refused.
+/// Why a contract is rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error(
-    "contract refused: {field} is {value}, it must be a finite number of {unit}, 0 (no limit) or more; the contract before stays in force"
+    "contract refused: {field} is {value}, but must be a finite number of {unit}, 0 (no limit) or greater; \
+     the previous contract stays in force"
 )]
 pub struct ContractError {
     field: &'static str,
@@ -59,7 +63,7 @@ pub struct ContractError {
 }
 
 impl Contract {
-    /// A contract from seconds, metres and radians; zero lifts a limit.
+    /// Creates a contract from seconds, metres and radians; zero means no limit.
     pub fn new(time_budget: f64, translation_error_bound: f64, rotation_error_bound: f64) -> Result<Self, ContractError> {
         let limit = |field, value: f64, unit| {
             if value.is_finite() && value >= 0.0 {
@@ -84,7 +88,7 @@ impl Contract {
         })
     }
 
-    /// Whether an answer with these errors (one sigma, m and rad) is good enough to stop at. Never so without a bound.
+    /// Whether an answer with these errors (one sigma, m and rad) satisfies the error bounds; false if there are none.
     pub fn is_satisfied_by(&self, translation_error: f64, rotation_error: f64) -> bool {
         let within = |bound: Option<f64>, error: f64| bound.is_none_or(|bound| BOUND_SIGMAS * error <= bound);
         self.has_error_bound()
@@ -92,12 +96,12 @@ impl Contract {
             && within(self.rotation_error_bound, rotation_error)
     }
 
-    /// How long to wait for news that make the answer better: half of the time budget at most.
-    pub fn patience(&self, longest: Duration) -> Duration {
-        self.time_budget.map_or(longest, |budget| longest.min(budget / 2))
+    /// Maximum time to wait for data that improve the answer: `limit`, but at most half of the time budget.
+    pub fn max_wait(&self, limit: Duration) -> Duration {
+        self.time_budget.map_or(limit, |budget| limit.min(budget / 2))
     }
 
-    /// How much later than asked for an answer is that took so long.
+    /// Time by which an answer that took `elapsed` exceeds the time budget.
     pub fn overrun(&self, elapsed: Duration) -> Duration {
         self.time_budget.map_or(Duration::ZERO, |budget| elapsed.saturating_sub(budget))
     }
@@ -108,7 +112,7 @@ impl Contract {
     }
 }
 
-/// In words: `within 5ms, to 0.01 m`.
+/// For example `within 5ms, to 0.01 m`.
 impl fmt::Display for Contract {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let limits = [
@@ -130,7 +134,7 @@ impl TryFrom<&ContractKnobs> for Contract {
     }
 }
 
-/// Without a header; zero where there is no limit.
+/// Without a header; zero means no limit.
 impl From<&Contract> for own::Contract {
     fn from(contract: &Contract) -> Self {
         Self {
@@ -155,7 +159,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn zero_lifts_a_limit_and_nonsense_is_refused() {
+    fn zero_means_no_limit_and_invalid_values_are_rejected() {
         assert_eq!(Contract::new(0.0, 0.0, 0.0), Ok(Contract::default()));
         assert_eq!(Contract::new(0.005, 0.0, 0.0).unwrap().time_budget, Some(Duration::from_millis(5)));
         for bad in [f64::NAN, f64::INFINITY, -1.0] {

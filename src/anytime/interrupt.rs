@@ -1,18 +1,18 @@
-//! Calling for the answer before its time.
+//! Interrupts: requests for an answer before its deadline.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Whether somebody wants the answer now. Asked between iterations: it must be quick.
+/// Whether an answer is requested now. Checked between iterations, so it must be fast.
 pub trait Interrupt: Send + Sync {
-    /// Whether the refinement is to end with what it has.
+    /// Whether the refinement should stop and return what it has.
     fn is_requested(&self) -> bool;
 }
 
-/// Nobody interrupts.
+/// No interrupts.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Never;
+pub struct NeverInterrupt;
 
-impl Interrupt for Never {
+impl Interrupt for NeverInterrupt {
     fn is_requested(&self) -> bool {
         false
     }
@@ -20,23 +20,23 @@ impl Interrupt for Never {
 
 /// A request that stands until it is cleared.
 #[derive(Debug, Default)]
-pub struct Request {
+pub struct InterruptRequest {
     made: AtomicBool,
 }
 
-impl Request {
-    /// Calls for the answer.
+impl InterruptRequest {
+    /// Requests the answer.
     pub fn make(&self) {
         self.made.store(true, Ordering::Release);
     }
 
-    /// Forgets the request.
+    /// Clears the request.
     pub fn clear(&self) {
         self.made.store(false, Ordering::Release);
     }
 }
 
-impl Interrupt for Request {
+impl Interrupt for InterruptRequest {
     fn is_requested(&self) -> bool {
         self.made.load(Ordering::Acquire)
     }

@@ -1,4 +1,4 @@
-//! Anytime operation: work on an answer until its contract ends.
+//! Anytime algorithms: they refine an answer until their contract ends.
 
 pub mod clock;
 pub mod contract;
@@ -20,141 +20,142 @@ pub use refinement::estimated_error;
 use crate::geometry::PoseCovariance;
 use crate::matching::StopReason;
 
-/// A contract on one scan: its time counts from the scan's arrival.
+/// The contract of one scan: its time budget counts from the scan's arrival.
 #[derive(Clone, Copy, Debug)]
-pub struct Task {
-    /// What is asked for.
+pub struct ScanContract {
+    /// Time budget and error bounds.
     pub contract: Contract,
-    /// Reading of the clock when the scan arrived.
+    /// Clock reading when the scan arrived.
     pub arrival: Duration,
-    /// Reading of the clock when the scan was taken up.
-    pub taken_up: Duration,
+    /// Clock reading when processing of the scan started.
+    pub started: Duration,
 }
 
-impl Task {
-    /// The reading of the clock by which the answer is due.
+impl ScanContract {
+    /// Clock reading at which the answer is due.
     pub fn deadline(&self) -> Option<Duration> {
         self.contract.time_budget.map(|budget| self.arrival.saturating_add(budget))
     }
 }
 
-/// Errors of an answer, one sigma.
+/// Errors of a pose, one sigma.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ErrorEstimate {
-    /// Of the position, m.
+    /// Position error, m.
     pub translation: f64,
-    /// Of the heading, rad.
+    /// Heading error, rad.
     pub rotation: f64,
 }
 
 impl ErrorEstimate {
-    /// Nothing is known.
+    /// The error is unknown.
     pub const UNKNOWN: Self = Self { translation: f64::INFINITY, rotation: f64::INFINITY };
 
-    /// From a covariance.
+    /// The errors according to a covariance.
     pub fn of_covariance(covariance: &PoseCovariance) -> Self {
         Self { translation: (covariance.m11 + covariance.m22).max(0.0).sqrt(), rotation: covariance.m33.max(0.0).sqrt() }
     }
 }
 
-/// Part of a time budget at most that is kept back for preemptions: late now and then is better than no match at all.
-const MOST_RESERVED: u32 = 2;
+/// At most this fraction (1/n) of a time budget is reserved for preemption: a late answer now and then is better than no match at
+/// all.
+const RESERVE_DIVISOR: u32 = 2;
 
-/// The time that is left before a deadline, and what is known of costs.
+/// The time left until the deadline, and the costs to expect.
 #[derive(Clone, Copy)]
-pub struct Outlook<'a> {
+pub struct RemainingBudget<'a> {
     costs: &'a CostModel,
-    left: Duration,
+    time_left: Duration,
     reserve: Duration,
 }
 
-impl<'a> Outlook<'a> {
-    /// `left`: of the time budget.
-    pub fn new(costs: &'a CostModel, left: Duration, time_budget: Duration) -> Self {
-        Self { costs, left, reserve: costs.reserve().min(time_budget / MOST_RESERVED) }
+impl<'a> RemainingBudget<'a> {
+    /// `time_left` is the part of `time_budget` that is left.
+    pub fn new(costs: &'a CostModel, time_left: Duration, time_budget: Duration) -> Self {
+        Self { costs, time_left, reserve: costs.reserve().min(time_budget / RESERVE_DIVISOR) }
     }
 
-    /// Whether there is time for pieces of work of these sizes, with the contract's confidence.
-    pub fn allows_for(&self, pieces: &[(Phase, usize)]) -> bool {
-        self.costs.guarded_sum(pieces, self.reserve) < self.left
+    /// Whether these pieces of work (phase and size) fit into the time left, with the contract's confidence.
+    pub fn fits(&self, pieces: &[(Phase, usize)]) -> bool {
+        self.costs.upper_bound_sum(pieces, self.reserve) < self.time_left
     }
 }
 
-/// Work on an answer, step by step; after every step there is an answer to be had.
-pub trait Work {
-    /// How much there is to do in a phase, of an iteration the next one: in rays, or what else its cost grows with.
+/// An algorithm that works step by step and has an answer after every step.
+pub trait AnytimeAlgorithm {
+    /// Size of a phase, of the next one for iterations: the number of rays, or whatever else its cost grows with.
     fn size(&self, phase: Phase) -> usize;
 
-    /// Makes itself as small as it must be to be of use in time.
-    fn plan(&mut self, outlook: &Outlook);
+    /// Reduces the work so that it fits into the time budget.
+    fn plan(&mut self, remaining: &RemainingBudget);
 
-    /// The next step; if it was the last one, why.
+    /// Makes the next step; returns the reason to stop if it was the last one.
     fn step(&mut self) -> Option<StopReason>;
 
-    /// Whether the answer is within the error bounds of the contract. It has some.
+    /// Whether the answer is within the error bounds of the contract, which has at least one.
     fn is_good_enough(&mut self, contract: &Contract) -> bool;
 }
 
-/// Keeps the contract of one scan.
-pub struct Driver<'a> {
-    task: Task,
+/// Runs an anytime algorithm under the contract of one scan.
+pub struct ContractRunner<'a> {
+    scan: ScanContract,
     clock: &'a dyn Clock,
     interrupt: &'a dyn Interrupt,
     costs: &'a mut CostModel,
-    refined: Option<Duration>,
+    last_step_end: Option<Duration>,
 }
 
-impl<'a> Driver<'a> {
-    /// For one scan. `interrupt` may end the work on it early; `costs` says what is ahead, and learns.
-    pub fn new(task: Task, clock: &'a dyn Clock, interrupt: &'a dyn Interrupt, costs: &'a mut CostModel) -> Self {
-        Self { task, clock, interrupt, costs, refined: None }
+impl<'a> ContractRunner<'a> {
+    /// A runner for one scan. `interrupt` may stop it early; `costs` predicts the costs of steps and learns from them.
+    pub fn new(scan: ScanContract, clock: &'a dyn Clock, interrupt: &'a dyn Interrupt, costs: &'a mut CostModel) -> Self {
+        Self { scan, clock, interrupt, costs, last_step_end: None }
     }
 
-    /// Reading of the clock when the last step was over; `None` while there has been none.
-    pub fn refined(&self) -> Option<Duration> {
-        self.refined
+    /// Clock reading at the end of the last step; `None` before the first one.
+    pub fn last_step_end(&self) -> Option<Duration> {
+        self.last_step_end
     }
 
-    /// What there is time for from now on; `None`: there is no deadline.
-    pub fn outlook(&self) -> Option<Outlook<'_>> {
-        self.outlook_at(self.clock.now())
+    /// The budget that remains now; `None` if there is no deadline.
+    pub fn remaining(&self) -> Option<RemainingBudget<'_>> {
+        self.remaining_at(self.clock.now())
     }
 
-    fn outlook_at(&self, now: Duration) -> Option<Outlook<'_>> {
-        let (deadline, time_budget) = (self.task.deadline()?, self.task.contract.time_budget?);
-        Some(Outlook::new(self.costs, deadline.saturating_sub(now), time_budget))
+    fn remaining_at(&self, now: Duration) -> Option<RemainingBudget<'_>> {
+        let (deadline, time_budget) = (self.scan.deadline()?, self.scan.contract.time_budget?);
+        Some(RemainingBudget::new(self.costs, deadline.saturating_sub(now), time_budget))
     }
 
-    /// Works until it is done, good enough, called for, or out of time.
+    /// Runs the algorithm until it converges, is within the error bounds, is interrupted, or runs out of time.
     ///
-    /// A step is begun only when it and all that follows it still fit before the deadline, at the costs that the model guards against.
-    pub fn drive(&mut self, work: &mut impl Work) -> StopReason {
-        self.clock.worked(Phase::Setup, work.size(Phase::Setup));
+    /// A step starts only if it and everything after it fit before the deadline, at the upper bound of their costs.
+    pub fn run(&mut self, algorithm: &mut impl AnytimeAlgorithm) -> StopReason {
+        self.clock.work_done(Phase::Setup, algorithm.size(Phase::Setup));
         let mut now = self.clock.now();
-        self.costs.observe(Phase::Setup, work.size(Phase::Setup), now.saturating_sub(self.task.taken_up));
-        if let Some(outlook) = self.outlook_at(now) {
-            work.plan(&outlook);
+        self.costs.observe(Phase::Setup, algorithm.size(Phase::Setup), now.saturating_sub(self.scan.started));
+        if let Some(remaining) = self.remaining_at(now) {
+            algorithm.plan(&remaining);
         }
-        self.refined = Some(now);
+        self.last_step_end = Some(now);
         loop {
-            let size = work.size(Phase::Iteration);
+            let size = algorithm.size(Phase::Iteration);
             if self.interrupt.is_requested() {
                 return StopReason::Interrupted;
             }
-            let step_and_answer = [(Phase::Iteration, size), (Phase::Closing, work.size(Phase::Closing))];
-            if self.outlook_at(now).is_some_and(|outlook| !outlook.allows_for(&step_and_answer)) {
+            let step_and_answer = [(Phase::Iteration, size), (Phase::Closing, algorithm.size(Phase::Closing))];
+            if self.remaining_at(now).is_some_and(|remaining| !remaining.fits(&step_and_answer)) {
                 return StopReason::Budget;
             }
-            let stop = work.step();
-            self.clock.worked(Phase::Iteration, size);
+            let stop = algorithm.step();
+            self.clock.work_done(Phase::Iteration, size);
             let before = std::mem::replace(&mut now, self.clock.now());
             self.costs.observe(Phase::Iteration, size, now.saturating_sub(before));
-            self.refined = Some(now);
+            self.last_step_end = Some(now);
             if let Some(reason) = stop {
                 return reason;
             }
-            let contract = &self.task.contract;
-            if contract.has_error_bound() && work.is_good_enough(contract) {
+            let contract = &self.scan.contract;
+            if contract.has_error_bound() && algorithm.is_good_enough(contract) {
                 return StopReason::ErrorBound;
             }
         }

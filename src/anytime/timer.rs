@@ -1,9 +1,8 @@
-//! Something to be done again and again.
+//! A periodic timer.
 
 use std::time::Duration;
 
-/// A steady rate. Whoever comes late does once what is due and leaves out the rest; timers whose periods divide each other stay
-/// together.
+/// A timer with a fixed rate. Missed periods are skipped; timers whose periods divide each other stay in phase.
 #[derive(Clone, Debug)]
 pub struct Timer {
     period: Duration,
@@ -11,20 +10,20 @@ pub struct Timer {
 }
 
 impl Timer {
-    /// Due every `period`, which is not zero, for the first time when the clock reads `first`.
+    /// A timer that fires every `period`, which must not be zero, for the first time when the clock reads `first`.
     pub fn new(period: Duration, first: Duration) -> Self {
         Self { period, next: first }
     }
 
-    /// Time until it is due next.
+    /// Time until it is due.
     pub fn left(&self, now: Duration) -> Duration {
         self.next.saturating_sub(now)
     }
 
-    /// Whether it is due; if so, it is taken to be done.
+    /// Whether it is due; if so, it advances to the next period.
     pub fn is_due(&mut self, now: Duration) -> bool {
-        let Some(late) = now.checked_sub(self.next) else { return false };
-        let missed = late.div_duration_f64(self.period).floor();
+        let Some(delay) = now.checked_sub(self.next) else { return false };
+        let missed = delay.div_duration_f64(self.period).floor();
         self.next += self.period.mul_f64(missed + 1.0);
         true
     }
@@ -35,12 +34,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn keeps_its_rate_and_leaves_out_what_was_missed() {
+    fn keeps_its_rate_and_skips_missed_periods() {
         let at = Duration::from_millis;
         let mut timer = Timer::new(at(10), at(5));
         assert_eq!((timer.left(at(1)), timer.left(at(7))), (at(4), at(0)));
         let due: Vec<u64> = (0..60).filter(|&now| timer.is_due(at(now))).collect();
         assert_eq!(due, [5, 15, 25, 35, 45, 55]);
-        assert!(timer.is_due(at(508)) && !timer.is_due(at(514)) && timer.is_due(at(515)), "on the beat again");
+        assert!(timer.is_due(at(508)) && !timer.is_due(at(514)) && timer.is_due(at(515)), "back in phase");
     }
 }

@@ -1,79 +1,81 @@
-//! How scans are answered and other messages are taken: the same for scan matcher and particle filter.
+//! The interface that the scan matcher and the particle filter share: scans in, answers out, and all other messages.
 
 use std::time::Duration;
 
 use super::InputError;
-use super::sensed::Sensed;
+use super::sensed::SensorMessage;
 use crate::anytime::interrupt::Interrupt;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::Imu;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::time::Stamp;
 
-/// An application that answers scans, each within a contract.
-pub trait Answering: Sized {
-    /// The answer.
+/// An application that processes scans, each under a contract.
+pub trait ScanProcessor: Sized {
+    /// The result for one scan.
     type Answer;
 
-    /// Answers a scan, or a cloud, that arrived when the clock read `arrival`. [`Self::conclude`] and [`Self::maintain`] are to follow;
-    /// [`Self::answer`] does all of it.
-    fn on_sensed(&mut self, scan: &Sensed, arrival: Duration) -> Self::Answer;
+    /// Processes a scan or a cloud that arrived when the clock read `arrival`. The caller must then call [`Self::conclude`] and
+    /// [`Self::maintain`]; [`Self::answer`] calls all three.
+    fn on_sensed(&mut self, scan: &SensorMessage, arrival: Duration) -> Self::Answer;
 
-    /// Measures the elapsed time; to be called once the pose of an answer has been published.
+    /// Measures the elapsed time. Call it once the pose of an answer has been published.
     fn conclude(&mut self, answer: &mut Self::Answer);
 
-    /// Work that can wait until an answer has been published; it improves the next ones. It ends early when `next` reports the next scan.
+    /// Does the work that can wait until an answer has been published and that improves later answers. It ends early when `next`
+    /// reports the next scan.
     fn maintain(&mut self, next: &dyn Interrupt);
 
-    /// How long to hold back a scan of this stamp for odometry that it needs and that has not come yet; `None`: answer it now. A scan
-    /// that is answered all the same is predicted with what odometry there is.
+    /// How long to delay a scan with this stamp until the odometry that it needs has arrived; `None`: process it now. If the wait
+    /// times out, the scan is predicted with the odometry available.
     fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration>;
 
-    /// Takes wheel odometry.
+    /// Handles a wheel odometry message.
     fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError>;
 
-    /// Takes transforms, static or not.
+    /// Handles transforms, static or not.
     fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError>;
 
-    /// Takes a reading of the IMU, if it uses one; a reading without information (some simulators publish zeros) is ignored.
+    /// Handles an IMU message, if the application uses an IMU. Messages without information are ignored (some simulators publish
+    /// zeros).
     fn on_imu(&mut self, _message: &Imu) -> Result<(), InputError> {
         Ok(())
     }
 
-    /// Remarks on oddities of the messages; each kind is reported once.
-    fn take_remarks(&mut self) -> Vec<String>;
+    /// Takes the warnings about unusual messages; each kind is reported once.
+    fn take_warnings(&mut self) -> Vec<String>;
 
-    /// Answers a scan that arrived when the clock read `arrival`. `hand_over` publishes what the controller waits for; the elapsed time is
-    /// measured then. Everything else can be published before [`Answered::maintain`].
+    /// Processes a scan that arrived when the clock read `arrival`. `publish` publishes what the controller waits for; the
+    /// elapsed time is measured after it. Everything else can be published before [`PublishedAnswer::maintain`].
     fn answer(
         &mut self,
-        scan: &Sensed,
+        scan: &SensorMessage,
         arrival: Duration,
-        hand_over: impl FnOnce(&mut Self, &mut Self::Answer),
-    ) -> Answered<'_, Self> {
+        publish: impl FnOnce(&mut Self, &mut Self::Answer),
+    ) -> PublishedAnswer<'_, Self> {
         let mut answer = self.on_sensed(scan, arrival);
-        hand_over(self, &mut answer);
+        publish(self, &mut answer);
         self.conclude(&mut answer);
-        Answered { by: self, answer }
+        PublishedAnswer { app: self, answer }
     }
 }
 
-/// An answer that has been published; deferred work is still to be done.
+/// An answer that has been published; its deferred work is still pending.
 #[must_use = "deferred work delays the next scan: call maintain"]
-pub struct Answered<'a, A: Answering> {
-    by: &'a mut A,
+pub struct PublishedAnswer<'a, A: ScanProcessor> {
+    app: &'a mut A,
     answer: A::Answer,
 }
 
-impl<A: Answering> Answered<'_, A> {
-    /// The application, and the answer.
+impl<A: ScanProcessor> PublishedAnswer<'_, A> {
+    /// The application and the answer.
     pub fn parts(&mut self) -> (&mut A, &A::Answer) {
-        (self.by, &self.answer)
+        (self.app, &self.answer)
     }
 
-    /// Does the deferred work, until the `next` scan is here.
+    /// Does the deferred work until the `next` scan arrives.
     pub fn maintain(self, next: &dyn Interrupt) -> A::Answer {
-        self.by.maintain(next);
+        self.app.maintain(next);
         self.answer
     }
 }

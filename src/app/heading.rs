@@ -1,21 +1,22 @@
-//! The heading from a message of an IMU.
+//! The heading from an IMU message.
 
-use super::{FASTEST, InputError, yaw};
+use super::{InputError, MAX_VELOCITY, yaw};
 use crate::messages::sensor_msgs::Imu;
 use crate::odometry::heading::HeadingReading;
 
-/// `None`: it has no information. An IMU mounted `upside_down` turns the other way round; its orientation includes that.
+/// Reads the yaw and the yaw rate of an IMU message; `None` if the message carries no information. The yaw rate of an IMU mounted
+/// `upside_down` changes sign; its orientation already accounts for the mounting.
 pub(super) fn reading(message: &Imu, upside_down: bool) -> Result<Option<HeadingReading>, InputError> {
     let (rates, orientation) = (&message.angular_velocity, &message.orientation);
-    if ![rates.x, rates.y, rates.z].iter().all(|rate| rate.abs() <= FASTEST) {
+    if ![rates.x, rates.y, rates.z].iter().all(|rate| rate.abs() <= MAX_VELOCITY) {
         return Err(InputError::VelocityNotFinite);
     }
-    // A first variance of -1 means that there is no orientation; not every driver sets it.
+    // A first variance of -1 means that there is no orientation, but not every driver sets it.
     let has_orientation = message.orientation_covariance[0] >= 0.0 && orientation.norm() != 0.0;
     let yaw = if has_orientation { Some(yaw(orientation)?) } else { None };
-    let says_nothing = yaw.is_none() && rates.x == 0.0 && rates.y == 0.0 && rates.z == 0.0;
+    let is_empty = yaw.is_none() && rates.x == 0.0 && rates.y == 0.0 && rates.z == 0.0;
     let rate = if upside_down { -rates.z } else { rates.z };
-    Ok((!says_nothing).then(|| HeadingReading { stamp: message.header.stamp.into(), yaw, rate }))
+    Ok((!is_empty).then(|| HeadingReading { stamp: message.header.stamp.into(), yaw, rate }))
 }
 
 #[cfg(test)]
@@ -32,22 +33,22 @@ mod tests {
         message
     }
 
-    fn found(message: &Imu, upside_down: bool) -> Option<(Option<f64>, f64)> {
+    fn read_heading(message: &Imu, upside_down: bool) -> Option<(Option<f64>, f64)> {
         reading(message, upside_down).unwrap().map(|reading| (reading.yaw, reading.rate))
     }
 
     #[test]
-    fn imus_say_as_much_as_they_measure() {
-        let (yaw, rate) = found(&imu(Some(0.5), 0.2), false).unwrap();
+    fn only_measured_quantities_are_read() {
+        let (yaw, rate) = read_heading(&imu(Some(0.5), 0.2), false).unwrap();
         assert!((yaw.unwrap() - 0.5).abs() < 1e-12 && (rate - 0.2).abs() < 1e-12);
-        assert_eq!(found(&imu(None, 0.2), true), Some((None, -0.2)));
+        assert_eq!(read_heading(&imu(None, 0.2), true), Some((None, -0.2)));
         let unknown = Imu { orientation_covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], ..imu(Some(0.5), 0.2) };
-        assert_eq!(found(&unknown, false), Some((None, 0.2)));
-        assert_eq!(found(&Imu::default(), false), None);
+        assert_eq!(read_heading(&unknown, false), Some((None, 0.2)));
+        assert_eq!(read_heading(&Imu::default(), false), None);
     }
 
     #[test]
-    fn what_is_no_rotation_is_refused() {
+    fn invalid_rotations_are_rejected() {
         assert_eq!(reading(&imu(None, f64::NAN), false), Err(InputError::VelocityNotFinite));
         let mut long = imu(Some(0.5), 0.2);
         long.orientation.w = 2.0;

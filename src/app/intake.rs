@@ -1,4 +1,4 @@
-//! What scans, transforms, odometry and contracts come in by, for all that answers scans: laser odometry and the particle filter.
+//! Input handling shared by laser odometry and the particle filter: scans, transforms, odometry and contracts.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,9 +6,9 @@ use std::time::Duration;
 use nalgebra::{Isometry3, Vector3};
 use thiserror::Error;
 
-use super::sensed::Sensed;
+use super::sensed::SensorMessage;
 use super::{InputError, MountSource, planar_pose, planar_twist};
-use crate::anytime::Task;
+use crate::anytime::ScanContract;
 use crate::anytime::clock::Clock;
 use crate::anytime::contract::{Contract, ContractError};
 use crate::anytime::cost_model::{CostModel, Phase};
@@ -25,26 +25,26 @@ use crate::scan::{Scan, ScanConverter, ScanError};
 use crate::time::Stamp;
 use crate::transforms::{Mount, TiltedMount, TransformTree, frame_name, rigid_motion};
 
-/// A mount that moves by more than this (m, rad) between two scans is worth a remark: no laser shakes that much on its bracket.
-const MOUNT_JUMP: f64 = 0.02;
-/// A start during which transforms are on their way takes less, s.
-const LATE_MOUNT: f64 = 2.0;
+/// A mount that moves by more than this (m, rad) between two scans is reported: no laser shakes that much on its bracket.
+const MAX_MOUNT_SHAKE: f64 = 0.02;
+/// Time after which a missing transform to the laser counts as late, s. At startup, transforms take less to arrive.
+const MAX_MOUNT_DELAY: f64 = 2.0;
 
 /// Why a scan cannot be used.
 #[derive(Clone, Debug, Error, PartialEq)]
-pub enum Unusable {
+pub enum UnusableScan {
     /// The message is malformed.
     #[error("malformed scan: {0}")]
     Malformed(#[from] ScanError),
-    /// The cloud is malformed, or holds nothing at the right height.
+    /// The cloud is malformed, or has no points at the configured heights.
     #[error("malformed scan: {0}")]
     MalformedCloud(#[from] CloudError),
-    /// The laser does not look along the floor.
+    /// The laser's scan plane is tilted against the floor.
     #[error(transparent)]
     Tilted(#[from] TiltedMount),
 }
 
-/// What is known beside the scans, and what scans are read by.
+/// The state that messages update, and the converters that read scans.
 pub(super) struct Intake {
     pub(super) config: Config,
     pub(super) clock: Arc<dyn Clock>,
@@ -55,12 +55,12 @@ pub(super) struct Intake {
     pub(super) mount: Mount,
     pub(super) mount_source: MountSource,
     converter: ScanConverter,
-    /// The frame of the last scan, and where on the base it was.
+    /// The frame of the last scan, and the pose of that frame on the base.
     last_mount: Option<(String, Pose2)>,
     mount_jumped: bool,
-    /// The first scan while nobody had said where the laser is.
+    /// Stamp of the first scan for which the pose of the laser was unknown.
     first_assumed: Option<Stamp>,
-    remarks: Vec<String>,
+    warnings: Vec<String>,
 }
 
 impl Intake {
@@ -72,54 +72,54 @@ impl Intake {
             costs: CostModel::new(config.contract.confidence),
             contract: Contract::try_from(&config.contract)?,
             transforms: TransformTree::default(),
-            mount: parameter.map_or_else(Mount::default, |place| place.mount(0.0)),
+            mount: parameter.map_or_else(Mount::default, |laser_pose| laser_pose.mount(0.0)),
             mount_source: if parameter.is_some() { MountSource::Parameter } else { MountSource::Assumed },
             converter: ScanConverter::new(&config.scan),
             last_mount: None,
             mount_jumped: false,
             first_assumed: None,
-            remarks: Vec::new(),
+            warnings: Vec::new(),
             config: config.clone(),
         })
     }
 
-    /// The task of answering a scan that arrived when the clock read `arrival`, and is taken up now.
-    pub(super) fn task(&self, arrival: Duration) -> Task {
-        Task { contract: self.contract, arrival, taken_up: self.clock.now() }
+    /// The contract for a scan that arrived when the clock read `arrival`; processing starts now.
+    pub(super) fn scan_contract(&self, arrival: Duration) -> ScanContract {
+        ScanContract { contract: self.contract, arrival, started: self.clock.now() }
     }
 
-    /// Work for which there is as much time as it takes.
-    pub(super) fn task_without_limit(&self) -> Task {
+    /// A contract without limits, for other work.
+    pub(super) fn unlimited_contract(&self) -> ScanContract {
         let now = self.clock.now();
-        Task { contract: Contract::default(), arrival: now, taken_up: now }
+        ScanContract { contract: Contract::default(), arrival: now, started: now }
     }
 
-    /// The scan of a message, as the laser of the mount of now sees it.
-    pub(super) fn scan(&mut self, message: &LaserScan) -> Result<Scan, Unusable> {
+    /// Converts a scan message with the current mount of its laser.
+    pub(super) fn scan(&mut self, message: &LaserScan) -> Result<Scan, UnusableScan> {
         self.update_mount(&message.header);
         self.mount.check_level(&self.config.frames.base_frame, &message.header.frame_id)?;
         let scan = self.converter.convert(message, self.mount.upside_down);
-        self.remarks.extend(self.converter.take_oddities().iter().map(ToString::to_string));
-        Ok(scan?.of_surroundings()?)
+        self.warnings.extend(self.converter.take_warnings().iter().map(ToString::to_string));
+        Ok(scan?.reject_uniform()?)
     }
 
-    /// The same of a point cloud.
-    pub(super) fn cloud(&mut self, message: &PointCloud2) -> Result<Scan, Unusable> {
+    /// Converts a point cloud with the current mount of its sensor.
+    pub(super) fn cloud(&mut self, message: &PointCloud2) -> Result<Scan, UnusableScan> {
         self.update_mount(&message.header);
         let scan = cloud::scan(message, &self.config.cloud, &self.mount.level_from_laser)?;
-        Ok(scan.masked(self.converter.mask())?.of_surroundings()?)
+        Ok(scan.masked(self.converter.mask())?.reject_uniform()?)
     }
 
-    /// The scan of a message that has been read before.
-    pub(super) fn scan_again(&mut self, message: &Sensed) -> Option<Scan> {
+    /// Converts a message again that has been read before.
+    pub(super) fn scan_again(&mut self, message: &SensorMessage) -> Option<Scan> {
         message.scan(&mut self.converter, &self.config.cloud, &self.mount)
     }
 
-    /// Takes the time of an answer that has been handed over: from the scan's `arrival`. Where the work on it was over when the clock read
-    /// `refined`, what came after it is learned from: `size` as for [`Phase::Closing`].
+    /// Returns the time from the scan's `arrival` until now, when its answer has been published. If refinement ended when the
+    /// clock read `refined`, the cost of everything after it is learned; `size` is as for [`Phase::Closing`].
     pub(super) fn conclude(&mut self, arrival: Duration, refined: Option<Duration>, size: Option<usize>) -> Duration {
         if let Some(size) = size {
-            self.clock.worked(Phase::Closing, size);
+            self.clock.work_done(Phase::Closing, size);
         }
         let now = self.clock.now();
         if let (Some(size), Some(refined)) = (size, refined) {
@@ -128,29 +128,29 @@ impl Intake {
         now.saturating_sub(arrival)
     }
 
-    /// How long an answer may be held back for odometry.
-    pub(super) fn patience(&self) -> Option<Duration> {
-        let wait = self.contract.patience(Duration::from_secs_f64(self.config.odometry.max_wait.0));
+    /// How long to wait for odometry before processing a scan; `None`: do not wait.
+    pub(super) fn max_odometry_wait(&self) -> Option<Duration> {
+        let wait = self.contract.max_wait(Duration::from_secs_f64(self.config.odometry.max_wait.0));
         (!wait.is_zero()).then_some(wait)
     }
 
-    /// Takes transforms, static or not.
+    /// Handles transforms, static or not.
     pub(super) fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
         let count = self.transforms.add(message);
         if count == 0 { Ok(()) } else { Err(InputError::BadTransforms { count }) }
     }
 
-    /// The sample of the base from odometry.
+    /// Converts an odometry message to a sample of the base.
     pub(super) fn wheel_sample(&self, message: &Odometry) -> Result<WheelSample, InputError> {
         wheel_sample(message, &self.transforms, &self.config.frames)
     }
 
-    /// Remarks on oddities of the messages; each kind is reported once.
-    pub(super) fn take_remarks(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.remarks)
+    /// Takes the warnings about unusual messages; each kind is reported once.
+    pub(super) fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
     }
 
-    /// Where the laser of this scan is on the base: every scan has its own place, which may move.
+    /// Updates the pose of this scan's laser on the base. It may change from scan to scan.
     fn update_mount(&mut self, header: &Header) {
         let laser_frame = header.frame_id.as_str();
         let parameter = self.config.odometry.laser_in_base;
@@ -160,47 +160,47 @@ impl Intake {
             self.mount = mount;
             if parameter.is_none() && self.mount_source != MountSource::Transforms {
                 self.mount_source = MountSource::Transforms;
-                self.last_mount = None; // it was none
-                self.note_late_mount(header);
+                self.last_mount = None; // that pose was assumed
+                self.warn_of_late_mount(header);
             }
         }
         if self.mount_source == MountSource::Assumed {
             self.first_assumed.get_or_insert(header.stamp.into());
         }
-        self.note_mount_jump(laser_frame);
+        self.warn_of_mount_jump(laser_frame);
     }
 
-    fn note_late_mount(&mut self, header: &Header) {
+    fn warn_of_late_mount(&mut self, header: &Header) {
         let seconds = self.first_assumed.map_or(0.0, |first| Stamp::from(header.stamp).seconds_since(first));
-        if seconds > LATE_MOUNT {
+        if seconds > MAX_MOUNT_DELAY {
             let laser_frame = &header.frame_id;
-            self.remarks.push(format!(
-                "no transform to the laser '{laser_frame}' came for {seconds:.1} s: until then it was taken to be at the base's origin \
+            self.warnings.push(format!(
+                "no transform to the laser '{laser_frame}' came for {seconds:.1} s: until then it was assumed to be at the base's origin \
                  (set odometry.laser_in_base, or publish it on /tf_static)"
             ));
         }
     }
 
-    fn note_mount_jump(&mut self, laser_frame: &str) {
-        let place = self.mount.base_from_laser;
+    fn warn_of_mount_jump(&mut self, laser_frame: &str) {
+        let base_from_laser = self.mount.base_from_laser;
         let Some((_, before)) = self.last_mount.as_mut().filter(|(frame, _)| frame == laser_frame) else {
-            self.last_mount = Some((laser_frame.into(), place));
+            self.last_mount = Some((laser_frame.into(), base_from_laser));
             return;
         };
-        let motion = std::mem::replace(before, place).between(&place);
-        if !self.mount_jumped && (motion.distance() > MOUNT_JUMP || motion.theta.abs() > MOUNT_JUMP) {
+        let motion = std::mem::replace(before, base_from_laser).between(&base_from_laser);
+        if !self.mount_jumped && (motion.distance() > MAX_MOUNT_SHAKE || motion.theta.abs() > MAX_MOUNT_SHAKE) {
             self.mount_jumped = true;
             let (distance, degrees) = (motion.distance(), motion.theta.to_degrees());
-            self.remarks.push(format!(
-                "by tf the laser '{laser_frame}' moved on the base by {distance:.3} m and {degrees:.1} degrees from one scan to the next: \
-                 poses follow tf (is it published by one node only?)"
+            self.warnings.push(format!(
+                "according to tf the laser '{laser_frame}' moved on the base by {distance:.3} m and {degrees:.1} degrees between two scans: \
+                 the transform is used as published (does more than one node publish it?)"
             ));
         }
     }
 }
 
-/// What odometry says of the base. That of another frame, such as a tracking camera's, is turned into the base's by the transforms, in
-/// space; the two frames must be fixed to one another. An empty `child_frame_id` is taken for the base's.
+/// Converts odometry to a sample of the base. Odometry of another frame, such as that of a tracking camera, is transformed to the
+/// base in 3D; the two frames must be fixed to each other. An empty `child_frame_id` means the base.
 fn wheel_sample(message: &Odometry, transforms: &TransformTree, frames: &FrameKnobs) -> Result<WheelSample, InputError> {
     let stamp = message.header.stamp.into();
     let (pose, twist) = (planar_pose(&message.pose.pose)?, &message.twist.twist);
@@ -208,26 +208,26 @@ fn wheel_sample(message: &Odometry, transforms: &TransformTree, frames: &FrameKn
     if child.is_empty() || child == base {
         return Ok(WheelSample { stamp, pose, twist: planar_twist(twist) });
     }
-    // Through the frames that it moves in, a transform would only say what was estimated.
+    // A transform through the moving frames would only return what was estimated.
     let moving = [&*message.header.frame_id, &*frames.odom_frame, &*frames.map_frame].map(frame_name);
     let child_from_base = transforms
-        .fixed(child, base, &moving)
+        .fixed_transform(child, base, &moving)
         .ok_or_else(|| InputError::OdometryOfAnotherFrame { child: child.into(), base: base.into() })?;
     let geometry_msgs::Pose { position: p, orientation } = &message.pose.pose;
     let odom_from_child = rigid_motion([p.x, p.y, p.z], orientation).ok_or(InputError::PoseNotFinite)?;
     let odom_from_base = odom_from_child * child_from_base;
-    let (place, forward) = (odom_from_base.translation.vector, odom_from_base.rotation * Vector3::x());
-    let pose = Pose2::new(place.x, place.y, forward.y.atan2(forward.x));
+    let (position, forward) = (odom_from_base.translation.vector, odom_from_base.rotation * Vector3::x());
+    let pose = Pose2::new(position.x, position.y, forward.y.atan2(forward.x));
     Ok(WheelSample { stamp, pose, twist: planar_twist(&twist_of_base(twist, &child_from_base)) })
 }
 
-/// The velocity of a base that is fixed to a child whose velocity this is, each in its own frame.
+/// The velocity of the base from that of a child frame fixed to it, each in its own frame.
 fn twist_of_base(of_child: &Twist, child_from_base: &Isometry3<f64>) -> Twist {
     let vector = |v: &geometry_msgs::Vector3| Vector3::new(v.x, v.y, v.z);
-    let turned = |v: Vector3<f64>| {
-        let turned = child_from_base.rotation.inverse() * v;
-        geometry_msgs::Vector3 { x: turned.x, y: turned.y, z: turned.z }
+    let rotated = |v: Vector3<f64>| {
+        let rotated = child_from_base.rotation.inverse() * v;
+        geometry_msgs::Vector3 { x: rotated.x, y: rotated.y, z: rotated.z }
     };
     let (linear, angular) = (vector(&of_child.linear), vector(&of_child.angular));
-    Twist { linear: turned(linear + angular.cross(&child_from_base.translation.vector)), angular: turned(angular) }
+    Twist { linear: rotated(linear + angular.cross(&child_from_base.translation.vector)), angular: rotated(angular) }
 }

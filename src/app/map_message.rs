@@ -1,4 +1,4 @@
-//! A map as `/map` brings it, and as it leaves.
+//! Conversion of maps from and to the message of `/map`.
 
 use thiserror::Error;
 
@@ -8,18 +8,18 @@ use crate::map::grid::{Cell, GridError, OccupancyGrid};
 use crate::messages::nav_msgs;
 use crate::messages::std_msgs::Header;
 
-/// From this on a cell is taken for a wall: `map_server`'s default threshold, %.
-const OCCUPIED: i8 = 65;
-/// Up to this it is free, %.
-const FREE: i8 = 25;
+/// Minimum occupancy of a wall cell, %: the default threshold of `map_server`.
+const MIN_OCCUPIED: i8 = 65;
+/// Maximum occupancy of a free cell, %.
+const MAX_FREE: i8 = 25;
 
-/// A message that is no map.
+/// Why a map message is unusable.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum MapMessageError {
     /// Its size or resolution is invalid.
     #[error("unusable map: {0}")]
     Grid(#[from] GridError),
-    /// Height and data do not go together.
+    /// The number of cells does not match width and height.
     #[error("unusable map: {cells} cells do not make {width} x {height}")]
     Size {
         /// Number of columns.
@@ -29,12 +29,12 @@ pub enum MapMessageError {
         /// Number of cells.
         cells: usize,
     },
-    /// The pose of its corner is invalid.
-    #[error("unusable origin of the map: {0}")]
+    /// The origin of the map is invalid.
+    #[error("unusable map: invalid origin: {0}")]
     Origin(#[from] InputError),
 }
 
-/// The map of a message.
+/// Converts a message to a map.
 pub fn grid(message: &nav_msgs::OccupancyGrid) -> Result<OccupancyGrid, MapMessageError> {
     let nav_msgs::MapMetaData { resolution, width, height, ref origin, .. } = message.info;
     let cells = message.data.len();
@@ -42,17 +42,17 @@ pub fn grid(message: &nav_msgs::OccupancyGrid) -> Result<OccupancyGrid, MapMessa
         return Err(MapMessageError::Size { width, height, cells });
     }
     let classify = |&occupancy: &i8| match occupancy {
-        OCCUPIED.. => Cell::Occupied,
-        0..=FREE => Cell::Free,
+        MIN_OCCUPIED.. => Cell::Occupied,
+        0..=MAX_FREE => Cell::Free,
         _ => Cell::Unknown,
     };
-    // The message has the resolution in single precision: 0.05 is meant, not 0.050000000745.
+    // The message carries the resolution in single precision: 0.050000000745 means 0.05.
     let resolution = (f64::from(resolution) * 1e7).round() / 1e7;
     let cells = message.data.iter().map(classify).collect();
     Ok(OccupancyGrid::new(width as usize, resolution, planar_pose(origin)?, cells)?)
 }
 
-/// The message of a map, in the frame of this name. A map has no time.
+/// Converts a map to a message in this frame. The stamp stays zero.
 #[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
 pub fn message(grid: &OccupancyGrid, frame: &str) -> nav_msgs::OccupancyGrid {
     let occupancy = |cell: &Cell| match cell {
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn cells_and_a_turned_origin_are_where_they_belong() {
+    fn cells_of_a_map_with_a_rotated_origin_are_at_the_right_positions() {
         let grid = grid(&sample(0.05, 2)).unwrap();
         let [free, occupied, unknown] = [Cell::Free, Cell::Occupied, Cell::Unknown];
         assert_eq!(grid.cells(), [free, occupied, unknown, free, unknown, occupied]);
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_map_becomes_the_message_that_it_came_from() {
+    fn a_map_survives_the_conversion_to_a_message_and_back() {
         let map = grid(&sample(0.05, 2)).unwrap();
         let message = super::message(&map, "map");
         assert_eq!((message.header.frame_id.as_str(), &message.data[..]), ("map", &[0, 100, -1, 0, -1, 100][..]));
@@ -101,14 +101,14 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_named() {
+    fn errors_name_the_problem() {
         let problem = |message: &nav_msgs::OccupancyGrid| grid(message).unwrap_err().to_string();
         assert!(problem(&sample(0.0, 2)).contains("resolution is 0"));
         assert!(problem(&sample(f32::NAN, 2)).contains("resolution is NaN"));
         assert!(problem(&sample(0.05, 7)).contains("6 cells do not make 3 x 7"));
         assert!(problem(&nav_msgs::OccupancyGrid::default()).contains("unusable"));
-        let mut turned = sample(0.05, 2);
-        turned.info.origin.orientation.w = 9.0;
-        assert!(problem(&turned).contains("normalised"));
+        let mut rotated = sample(0.05, 2);
+        rotated.info.origin.orientation.w = 9.0;
+        assert!(problem(&rotated).contains("normalised"));
     }
 }

@@ -1,4 +1,5 @@
-//! The application: messages in, estimates out. The node and the offline tool both drive this, so that a replay is what ran live.
+//! The application: messages in, estimates out. The node and the offline tool run the same code, so that a replay repeats what
+//! ran live.
 
 mod answering;
 mod heading;
@@ -21,14 +22,14 @@ use self::initial_pose::InitialPose;
 use crate::anytime::clock::Clock;
 use crate::anytime::contract::{BOUND_SIGMAS, Contract, ContractError};
 use crate::anytime::cost_model::CostModel;
-use crate::anytime::interrupt::{Interrupt, Never};
-use crate::anytime::mode::{Conditions, Outside, Watch};
-use crate::anytime::{Driver, ErrorEstimate};
+use crate::anytime::interrupt::{Interrupt, NeverInterrupt};
+use crate::anytime::mode::{ConditionMonitor, Conditions, OutOfRange};
+use crate::anytime::{ContractRunner, ErrorEstimate};
 use crate::config::{Config, FrameKnobs};
 use crate::geometry::{Pose2, Twist2};
 use crate::io::cost_file::{self, CostFileError};
 use crate::io::profile_file::{ExpectedError, Profile, ProfileFileError, VariantProfile};
-use crate::mapping::{Passage, Sighting};
+use crate::mapping::{MotionStatus, PosedScan};
 use crate::matching::IterationTrace;
 use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
 use crate::messages::nav_msgs::Odometry;
@@ -40,53 +41,53 @@ use crate::odometry::wheel::WheelSample;
 use crate::odometry::{Failure, FailureReason, LaserOdometry, MatchedPoints, OdometryCounters, Outcome, Registration};
 use crate::scan::Scan;
 use crate::time::Stamp;
-use crate::transforms::{FARTHEST, Mount, TransformTree};
+use crate::transforms::{MAX_COORDINATE, Mount, TransformTree};
 
-pub use answering::{Answered, Answering};
+pub use answering::{PublishedAnswer, ScanProcessor};
 use intake::Intake;
-pub use intake::Unusable;
-use sensed::Sensed;
+pub use intake::UnusableScan;
+use sensed::SensorMessage;
 
-/// A quaternion whose length is farther from 1 than this is a mistake of its sender, not rounding.
+/// Maximum deviation of a quaternion's length from 1. A larger one is an error of the sender, not rounding.
 const QUATERNION_TOLERANCE: f64 = 0.1;
-/// No robot is faster, m/s and rad/s, were its wheels to count millimetres or its IMU degrees.
-const FASTEST: f64 = 1e4;
+/// Maximum plausible velocity, m/s and rad/s: no robot is faster, even if its wheels count millimetres or its IMU degrees.
+const MAX_VELOCITY: f64 = 1e4;
 
-/// A message that cannot be used. The application goes on as if it had not come.
+/// A message that cannot be used. The application ignores it.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum InputError {
-    /// A pose holds NaN or infinities, or numbers that can only be damage.
-    #[error("the pose has numbers that are not finite, or is nowhere on Earth")]
+    /// A pose has NaN or infinite numbers, or implausibly large ones.
+    #[error("the pose has numbers that are not finite or implausibly large")]
     PoseNotFinite,
-    /// An angular velocity or a velocity holds NaN or infinities, or numbers that can only be damage.
-    #[error("the velocity has numbers that are not finite, or that nothing moves at")]
+    /// A linear or angular velocity has NaN or infinite numbers, or implausibly large ones.
+    #[error("the velocity has numbers that are not finite or implausibly large")]
     VelocityNotFinite,
-    /// A quaternion is no rotation.
+    /// A quaternion is not a rotation.
     #[error("the orientation's quaternion has length {:?}: it must be normalised", (.length * 1e3).round() / 1e3)]
     QuaternionNotNormalized {
         /// Its length.
         length: f64,
     },
-    /// Transforms that are no rigid motions.
-    #[error("{count} transforms are no rigid motions (NaN, a zero quaternion, or a frame that is its own parent)")]
+    /// Some transforms are not rigid motions.
+    #[error("{count} transforms are not rigid motions (NaN, a zero quaternion, or a frame that is its own parent)")]
     BadTransforms {
         /// How many.
         count: usize,
     },
-    /// A contract that nobody could keep.
+    /// A contract is invalid.
     #[error(transparent)]
     Contract(#[from] ContractError),
-    /// A place that is not on the map.
+    /// A pose or point is outside the map.
     #[error("({x:.2}, {y:.2}) is outside the map: is the pose given in the map's frame?")]
     OutsideMap {
-        /// Where, m.
+        /// Coordinate, m.
         x: f64,
-        /// Where, m.
+        /// Coordinate, m.
         y: f64,
     },
-    /// Odometry of a frame that nobody knows the place of on the base.
+    /// Odometry of a frame whose pose on the base is unknown.
     #[error(
-        "it is of the frame '{child}', and no transform says where that is on the base '{base}': unusable (publish the transform on \
+        "it is for the frame '{child}', and no transform gives the pose of that frame on the base '{base}': ignored (publish the transform on \
          /tf_static, or set the parameter base_frame)"
     )]
     OdometryOfAnotherFrame {
@@ -95,7 +96,7 @@ pub enum InputError {
         /// The base's frame.
         base: String,
     },
-    /// A place in another frame than the map's.
+    /// A pose or point is in another frame than the map's.
     #[error("it is given in the frame '{frame}', expected '{expected}' (in RViz: the fixed frame; parameter map_frame)")]
     WrongFrame {
         /// The message's frame.
@@ -105,10 +106,10 @@ pub enum InputError {
     },
 }
 
-/// A file that the configuration names is unusable.
+/// A file named in the configuration is unusable.
 #[derive(Debug, Error)]
 pub enum StartError {
-    /// The learned costs.
+    /// The file of learned costs.
     #[error(transparent)]
     Costs(#[from] CostFileError),
     /// The profile.
@@ -121,44 +122,44 @@ pub enum StartError {
 pub struct Estimate {
     /// The scan's stamp.
     pub stamp: Stamp,
-    /// Pose, covariance, velocity, and how they came about.
+    /// Pose, covariance and velocity, and how they were computed.
     pub registration: Registration,
     /// The contract that was in force.
     pub contract: Contract,
-    /// The error that the profile leads to expect of such a time budget, if there is a profile and it knows.
+    /// The error that the profile predicts for this time budget, if there is a profile that covers it.
     pub expected_error: Option<ExpectedError>,
-    /// Why that is not to be relied on: the last scans are of another kind than the profile's. Known once it is concluded.
-    pub outside_profile: Option<Outside>,
-    /// Time from the scan's arrival to this answer; once it is concluded, to its pose handed over.
+    /// Why the expected error is unreliable: the last scans are unlike those of the profile. Known after `conclude`.
+    pub outside_profile: Option<OutOfRange>,
+    /// Time from the scan's arrival to this answer; after `conclude`, to the publication of its pose.
     pub elapsed: Duration,
     /// Reading of the clock when the scan arrived.
     arrival: Duration,
-    /// Reading of the clock when the refinement was over, if there was one.
+    /// Reading of the clock at the end of the refinement, if there was one.
     refined: Option<Duration>,
 }
 
 impl Estimate {
-    /// Whether the answer is within the time budget; without one it always is.
+    /// Whether the answer kept the time budget; always true without one.
     pub fn deadline_met(&self) -> bool {
         self.overrun().is_zero()
     }
 
-    /// How the robot came here; `None` where the scan was malformed, or one that had been answered before, or where the next one starts
-    /// from where this one did.
-    pub fn passage(&self) -> Option<Passage> {
+    /// How the robot moved to this pose, for the mapper; `None` for a malformed or repeated scan, or if the next scan continues
+    /// from the same start as this one.
+    pub fn motion_status(&self) -> Option<MotionStatus> {
         match &self.registration.outcome {
-            Outcome::First => Some(Passage::Start),
-            Outcome::Matched => Some(Passage::Known),
-            Outcome::Predicted(_) => self.registration.new_keyframe.then_some(Passage::Lost),
+            Outcome::First => Some(MotionStatus::Start),
+            Outcome::Matched => Some(MotionStatus::Known),
+            Outcome::Predicted(_) => self.registration.new_keyframe.then_some(MotionStatus::Lost),
         }
     }
 
-    /// How much later than asked for the answer is.
+    /// How much the answer exceeded the time budget.
     pub fn overrun(&self) -> Duration {
         self.contract.overrun(self.elapsed)
     }
 
-    /// What the match found; `None` without one.
+    /// The matching conditions of this scan; `None` if it was not matched.
     pub fn conditions(&self) -> Option<Conditions> {
         let report = self.registration.refinement.as_ref()?;
         Some(Conditions {
@@ -168,7 +169,8 @@ impl Estimate {
         })
     }
 
-    /// By how much the estimated error, three standard deviations of it, misses the bounds; zero where it keeps them, or there is none.
+    /// By how much three standard deviations of the estimated error exceed the error bounds; zero if they are kept or there are
+    /// none.
     pub fn error_excess(&self) -> ErrorEstimate {
         let excess = |error: f64, bound: Option<f64>| bound.map_or(0.0, |bound| (BOUND_SIGMAS * error - bound).max(0.0));
         let error = self.registration.estimated_error;
@@ -179,58 +181,58 @@ impl Estimate {
     }
 }
 
-/// Events that are counted.
+/// Counted events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Scans answered.
+    /// Scans processed.
     pub scans: u64,
     /// Scans that were malformed.
     pub malformed_scans: u64,
-    /// Other messages that could not be used.
+    /// Other messages that were rejected.
     pub refused_messages: u64,
     /// Answers later than the time budget.
     pub deadline_misses: u64,
 }
 
-/// Where the laser's mount is known from.
+/// Where the laser's mount comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MountSource {
     /// The parameter `odometry.laser_in_base`.
     Parameter,
     /// `/tf` or `/tf_static`.
     Transforms,
-    /// Nowhere: taken to be at the base's origin.
+    /// Unknown: assumed to be at the base's origin.
     Assumed,
 }
 
 impl MountSource {
-    /// What the user of a bag should know of it, with the remedy.
-    pub fn reservation(self) -> Option<&'static str> {
+    /// A warning for the user of a bag if the mount is unknown, with the remedy.
+    pub fn warning(self) -> Option<&'static str> {
         (self == Self::Assumed).then_some(
-            "where the laser is on the base is not known: taken to be at its origin (set odometry.laser_in_base, or record /tf_static)",
+            "the pose of the laser on the base is unknown: assumed to be at its origin (set odometry.laser_in_base, or record /tf_static)",
         )
     }
 }
 
-/// Scan matching as a whole.
+/// The scan matcher as an application.
 pub struct App {
     intake: Intake,
     interrupt: Arc<dyn Interrupt>,
     profile: Option<VariantProfile>,
-    /// Whether scans are of the profile's kind.
-    watch: Option<Watch>,
+    /// Checks whether scans are like those of the profile.
+    watch: Option<ConditionMonitor>,
     odometry: LaserOdometry,
-    /// A pose that was set, until the first scan after it.
+    /// A pose set by the user, kept until the first scan after it.
     initial_pose: Option<InitialPose<Pose2>>,
     counters: Counters,
 }
 
 impl App {
-    /// An application with this configuration. Fails on an invalid contract.
+    /// Creates an application with this configuration. Fails on an invalid contract.
     pub fn new(config: &Config, clock: Arc<dyn Clock>) -> Result<Self, ContractError> {
         Ok(Self {
             intake: Intake::new(config, clock)?,
-            interrupt: Arc::new(Never),
+            interrupt: Arc::new(NeverInterrupt),
             profile: None,
             watch: None,
             odometry: LaserOdometry::new(&config.odometry, &config.matching, &config.rejection),
@@ -239,9 +241,10 @@ impl App {
         })
     }
 
-    /// Gets ready for the first scan: practises on simulated ones, and reads the files of costs and of the profile, if there are any.
+    /// Prepares for the first scan: matches simulated scans to learn their costs, and reads the files of costs and of the
+    /// profile, if there are any.
     pub fn warm_up(&mut self) -> Result<(), StartError> {
-        self.intake.costs = warm_up::practise(self);
+        self.intake.costs = warm_up::measure_costs(self);
         if let Some(path) = &self.intake.config.contract.cost_file {
             cost_file::read(Path::new(path), &mut self.intake.costs)?;
         }
@@ -249,23 +252,23 @@ impl App {
             let matching = &self.intake.config.matching;
             let variant = format!("{}+{}", matching.correspondence.name(), matching.solver.name());
             let profile = Profile::load(Path::new(path))?.variant(&variant)?.clone();
-            self.watch = Some(Watch::new(profile.conditions));
+            self.watch = Some(ConditionMonitor::new(profile.conditions));
             self.profile = Some(profile);
         }
         Ok(())
     }
 
-    /// The error that the profile leads to expect under the contract in force.
+    /// The error that the profile predicts for the contract in force.
     pub fn expected_error(&self) -> Option<ExpectedError> {
         self.profile.as_ref()?.expected_error(self.intake.contract.time_budget.unwrap_or(Duration::MAX))
     }
 
-    /// What work costs, as learned so far.
+    /// The costs of work, as learned so far.
     pub fn costs(&self) -> &CostModel {
         &self.intake.costs
     }
 
-    /// Writes the learned costs to their file, if one is wanted.
+    /// Writes the learned costs to their file, if one is configured.
     pub fn store_costs(&self) -> Result<(), CostFileError> {
         match &self.intake.config.contract.cost_file {
             Some(path) => cost_file::write(Path::new(path), &self.intake.costs),
@@ -273,18 +276,18 @@ impl App {
         }
     }
 
-    /// From now on `interrupt` may end a refinement early.
+    /// Sets the interrupt that may end a refinement early.
     pub fn set_interrupt(&mut self, interrupt: Arc<dyn Interrupt>) {
         self.interrupt = interrupt;
     }
 
-    /// Answers a scan that arrived when the clock read `arrival`. Always answers: for a scan that is unusable, with the prediction.
-    /// [`Self::conclude`] is to follow.
+    /// Processes a scan that arrived when the clock read `arrival`. Always returns an estimate: for an unusable scan, the
+    /// prediction. The caller must then call [`Self::conclude`].
     pub fn on_scan(&mut self, message: &LaserScan, arrival: Duration) -> Estimate {
         self.estimate(&message.header, arrival, |intake| intake.scan(message))
     }
 
-    /// Answers a point cloud as [`Self::on_scan`] does a scan.
+    /// Processes a point cloud as [`Self::on_scan`] does a scan.
     pub fn on_cloud(&mut self, message: &PointCloud2, arrival: Duration) -> Estimate {
         self.estimate(&message.header, arrival, |intake| intake.cloud(message))
     }
@@ -293,128 +296,130 @@ impl App {
         &mut self,
         header: &Header,
         arrival: Duration,
-        read: impl FnOnce(&mut Intake) -> Result<Scan, Unusable>,
+        read: impl FnOnce(&mut Intake) -> Result<Scan, UnusableScan>,
     ) -> Estimate {
         let stamp = header.stamp.into();
         self.counters.scans += 1;
         if let Some(set) = self.initial_pose.take_if(|set| set.precedes(stamp, arrival)) {
-            self.odometry.set_pose(set.pose, set.held_at(stamp, arrival));
+            self.odometry.set_pose(set.pose, set.time_on_scan_clock(stamp, arrival));
         }
-        let task = self.intake.task(arrival);
+        let scan_contract = self.intake.scan_contract(arrival);
         let mount_known_before = self.intake.mount_source;
         let scan = read(&mut self.intake);
         if self.intake.mount_source != mount_known_before {
             self.odometry.forget_reference();
         }
         let Intake { clock, costs, mount, .. } = &mut self.intake;
-        let mut driver = Driver::new(task, &**clock, &*self.interrupt, costs);
+        let mut runner = ContractRunner::new(scan_contract, &**clock, &*self.interrupt, costs);
         let registration = match scan {
-            Ok(scan) => self.odometry.register_within(&scan, &mount.base_from_laser, &mut driver),
+            Ok(scan) => self.odometry.register_within(&scan, &mount.base_from_laser, &mut runner),
             Err(problem) => {
                 self.counters.malformed_scans += 1;
-                self.odometry.answer_unusable(stamp, failure(&problem))
+                self.odometry.register_unusable(stamp, failure(&problem))
             }
         };
-        let refined = driver.refined();
+        let refined = runner.last_step_end();
         let elapsed = clock.now().saturating_sub(arrival);
         let (contract, expected_error) = (self.contract(), self.expected_error());
         Estimate { stamp, registration, contract, expected_error, outside_profile: None, elapsed, arrival, refined }
     }
 
-    /// The scan of a message that has just been answered; `None` where it is malformed.
-    pub fn scan(&mut self, message: &Sensed) -> Option<Scan> {
+    /// Converts the message that has just been processed to a scan; `None` if it is malformed.
+    pub fn scan(&mut self, message: &SensorMessage) -> Option<Scan> {
         self.intake.scan_again(message)
     }
 
-    /// What a scan that has just been answered is to a map, and the scan as it was measured; `None` where it could not be used.
-    pub fn sighting(&mut self, message: &Sensed, estimate: &Estimate) -> Option<(Sighting, Scan)> {
-        let passage = estimate.passage()?;
+    /// The scan that has just been processed with its pose, as the mapper needs it, and the scan as it was measured; `None` if it
+    /// could not be used.
+    pub fn posed_scan(&mut self, message: &SensorMessage, estimate: &Estimate) -> Option<(PosedScan, Scan)> {
+        let motion_status = estimate.motion_status()?;
         let measured = self.scan(message)?;
         let Registration { odom_from_base, covariance, .. } = estimate.registration;
         let base_from_laser = self.intake.mount.base_from_laser;
         let scan = self.undistorted(measured.clone());
-        Some((Sighting { scan, odom_from_base, covariance, base_from_laser, passage }, measured))
+        Some((PosedScan { scan, odom_from_base, covariance, base_from_laser, motion_status }, measured))
     }
 
-    /// That scan as the laser would have seen it at its stamp.
+    /// Undistorts a scan to its stamp.
     pub fn undistorted(&self, scan: Scan) -> Scan {
         self.odometry.undistorted(&scan, &self.intake.mount.base_from_laser).unwrap_or(scan)
     }
 
-    /// How long an answer may be held back for news that make it better: `odometry.max_wait`, and half of the time budget at most.
-    pub fn patience(&self) -> Duration {
-        self.intake.patience().unwrap_or_default()
+    /// How long to delay an answer for odometry that improves it: `odometry.max_wait`, but at most half of the time budget.
+    pub fn max_odometry_wait(&self) -> Duration {
+        self.intake.max_odometry_wait().unwrap_or_default()
     }
 
-    /// Where another node's transforms say the base is, if these are to predict.
+    /// Adds the base pose of another node's transforms as a prediction, if `prediction_frame` is set.
     fn predict_from(&mut self, message: &TFMessage) {
         let FrameKnobs { prediction_frame: Some(frame), base_frame, .. } = &self.intake.config.frames else { return };
         let mut moved =
-            message.transforms.iter().filter(|moved| self.intake.transforms.carries(&moved.child_frame_id, base_frame));
-        if let (Some(moved), Some(place)) = (moved.next(), self.intake.transforms.mount(frame, base_frame)) {
+            message.transforms.iter().filter(|moved| self.intake.transforms.is_ancestor(&moved.child_frame_id, base_frame));
+        if let (Some(moved), Some(mount)) = (moved.next(), self.intake.transforms.mount(frame, base_frame)) {
             let stamp = moved.header.stamp.into();
-            self.odometry.add_transform_sample(WheelSample { stamp, pose: place.base_from_laser, twist: None });
+            self.odometry.add_transform_sample(WheelSample { stamp, pose: mount.base_from_laser, twist: None });
         }
     }
 
-    /// Takes the velocity of the base as it is now: the prediction where there is no odometry.
+    /// Handles the current velocity of the base: the prediction if there is no odometry.
     pub fn on_velocity(&mut self, message: &Twist) -> Result<(), InputError> {
         let twist = Twist2 { vx: message.linear.x, vy: message.linear.y, omega: message.angular.z };
-        self.count_refused(if is_possible(&twist) { Ok(()) } else { Err(InputError::VelocityNotFinite) })?;
+        self.count_rejected(if is_possible(&twist) { Ok(()) } else { Err(InputError::VelocityNotFinite) })?;
         self.odometry.set_velocity(twist);
         Ok(())
     }
 
-    /// Takes a contract; in force from the next scan on.
+    /// Handles a contract; it applies from the next scan on.
     pub fn on_contract(&mut self, message: &own::Contract) -> Result<(), InputError> {
-        self.intake.contract = self.count_refused(Contract::try_from(message).map_err(InputError::from))?;
+        self.intake.contract = self.count_rejected(Contract::try_from(message).map_err(InputError::from))?;
         Ok(())
     }
 
-    /// Another contract; in force from the next scan on.
+    /// Sets the contract; it applies from the next scan on.
     pub fn set_contract(&mut self, contract: Contract) {
         self.intake.contract = contract;
     }
 
-    /// Another limit of the iterations of one match; in force from the next scan on.
+    /// Sets the maximum number of iterations of a match; it applies from the next scan on.
     pub fn set_max_iterations(&mut self, limit: u32) {
         self.odometry.set_max_iterations(limit);
     }
 
-    /// Takes the pose of the base, which came when the clock read `arrival`: the next scan taken after it is the first one, there.
+    /// Handles an initial pose of the base that arrived when the clock read `arrival`: the next scan taken after it is the first
+    /// one of a new start from this pose.
     pub fn on_initial_pose(&mut self, message: &PoseWithCovarianceStamped, arrival: Duration) -> Result<(), InputError> {
-        let pose = self.count_refused(planar_pose(&message.pose.pose))?;
+        let pose = self.count_rejected(planar_pose(&message.pose.pose))?;
         self.initial_pose = Some(InitialPose::new(pose, &message.header, arrival));
         Ok(())
     }
 
-    /// Starts again from the initial pose.
+    /// Restarts from the initial pose.
     pub fn reset(&mut self) {
         self.initial_pose = None;
         self.odometry.reset();
     }
 
-    /// Whether to keep the matched points of each answer for [`Self::matched_points`].
+    /// Sets whether the matched points of each answer are kept for [`Self::matched_points`].
     pub fn set_keep_matched_points(&mut self, keep: bool) {
         self.odometry.set_keep_matched_points(keep);
     }
 
-    /// The matched points of the last answer, where it was a match and they were to be kept.
+    /// The matched points of the last answer, if it was a match and they are kept.
     pub fn matched_points(&self) -> Option<&MatchedPoints> {
         self.odometry.matched_points()
     }
 
-    /// What each iteration of the last match did; empty where there was none for the last answer.
+    /// The iterations of the last match; empty if the last answer was not a match.
     pub fn iterations(&self) -> &[IterationTrace] {
         self.odometry.iterations()
     }
 
-    /// Place of the laser on the base, and where that is known from.
+    /// The mount of the laser on the base, and where it comes from.
     pub fn mount(&self) -> (Mount, MountSource) {
         (self.intake.mount, self.intake.mount_source)
     }
 
-    /// The transforms known.
+    /// The known transforms.
     pub fn transforms(&self) -> &TransformTree {
         &self.intake.transforms
     }
@@ -424,39 +429,40 @@ impl App {
         self.intake.contract
     }
 
-    /// The configuration it was made with.
+    /// The configuration of this application.
     pub fn config(&self) -> &Config {
         &self.intake.config
     }
 
-    /// Events counted so far.
+    /// The events counted so far.
     pub fn counters(&self) -> &Counters {
         &self.counters
     }
 
-    /// Scans show the robot where the wheel odometry had it so much earlier, s; found along the path, 0 as long as nothing says so.
+    /// Lag of the wheel odometry behind the scans, s: scans show the robot where the wheel odometry had it this much earlier.
+    /// Estimated along the path; 0 until there is evidence.
     pub fn odometry_lag(&self) -> f64 {
         self.odometry.odometry_lag()
     }
 
-    /// Events of the odometry counted so far.
+    /// The events of the odometry counted so far.
     pub fn odometry_counters(&self) -> &OdometryCounters {
         self.odometry.counters()
     }
 
-    fn count_refused<T>(&mut self, result: Result<T, InputError>) -> Result<T, InputError> {
+    fn count_rejected<T>(&mut self, result: Result<T, InputError>) -> Result<T, InputError> {
         self.counters.refused_messages += u64::from(result.is_err());
         result
     }
 }
 
-impl Answering for App {
+impl ScanProcessor for App {
     type Answer = Estimate;
 
-    fn on_sensed(&mut self, message: &Sensed, arrival: Duration) -> Estimate {
+    fn on_sensed(&mut self, message: &SensorMessage, arrival: Duration) -> Estimate {
         match message {
-            Sensed::Scan(scan) => self.on_scan(scan, arrival),
-            Sensed::Cloud(cloud) => self.on_cloud(cloud, arrival),
+            SensorMessage::Scan(scan) => self.on_scan(scan, arrival),
+            SensorMessage::Cloud(cloud) => self.on_cloud(cloud, arrival),
         }
     }
 
@@ -470,24 +476,24 @@ impl Answering for App {
     }
 
     fn maintain(&mut self, interrupt: &dyn Interrupt) {
-        let task = self.intake.task_without_limit();
+        let scan_contract = self.intake.unlimited_contract();
         let Intake { config, clock, costs, .. } = &mut self.intake;
-        let mut driver = Driver::new(task, &**clock, interrupt, costs);
+        let mut runner = ContractRunner::new(scan_contract, &**clock, interrupt, costs);
         if config.contract.finish_after_answer {
-            self.odometry.finish(&mut driver);
+            self.odometry.finish(&mut runner);
         }
         self.odometry.maintain();
-        self.odometry.close_loop(&mut driver);
+        self.odometry.close_loop(&mut runner);
         costs.learn();
     }
 
     fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        self.intake.patience().filter(|_| self.odometry.awaits_odometry(stamp))
+        self.intake.max_odometry_wait().filter(|_| self.odometry.awaits_odometry(stamp))
     }
 
     fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {
         let sample = self.intake.wheel_sample(message);
-        let sample = self.count_refused(sample)?;
+        let sample = self.count_rejected(sample)?;
         self.odometry.add_wheel_sample(sample);
         Ok(())
     }
@@ -495,37 +501,37 @@ impl Answering for App {
     fn on_transforms(&mut self, message: &TFMessage) -> Result<(), InputError> {
         let outcome = self.intake.on_transforms(message);
         self.predict_from(message);
-        self.count_refused(outcome)
+        self.count_rejected(outcome)
     }
 
     fn on_imu(&mut self, message: &Imu) -> Result<(), InputError> {
         let mount = self.intake.transforms.mount(&self.intake.config.frames.base_frame, &message.header.frame_id);
         let reading = heading::reading(message, mount.is_some_and(|mount| mount.upside_down));
-        if let Some(reading) = self.count_refused(reading)? {
-            self.odometry.add_heading(reading);
+        if let Some(reading) = self.count_rejected(reading)? {
+            self.odometry.add_imu_reading(reading);
         }
         Ok(())
     }
 
-    fn take_remarks(&mut self) -> Vec<String> {
-        self.intake.take_remarks()
+    fn take_warnings(&mut self) -> Vec<String> {
+        self.intake.take_warnings()
     }
 }
 
-/// Why an unusable scan is answered with the prediction.
-fn failure(problem: &Unusable) -> Failure {
+/// The failure to report for an unusable scan.
+fn failure(problem: &UnusableScan) -> Failure {
     let reason = match problem {
-        Unusable::Tilted(_) => FailureReason::TiltedMount,
-        Unusable::Malformed(_) | Unusable::MalformedCloud(_) => FailureReason::MalformedScan,
+        UnusableScan::Tilted(_) => FailureReason::TiltedMount,
+        UnusableScan::Malformed(_) | UnusableScan::MalformedCloud(_) => FailureReason::MalformedScan,
     };
     Failure::new(reason, problem.to_string())
 }
 
-/// The pose in the plane that a message holds.
+/// The planar pose of a message.
 pub fn planar_pose(pose: &Pose) -> Result<Pose2, InputError> {
     let yaw = yaw(&pose.orientation)?;
     let planar = Pose2::new(pose.position.x, pose.position.y, yaw);
-    if planar.is_finite() && planar.distance() <= FARTHEST { Ok(planar) } else { Err(InputError::PoseNotFinite) }
+    if planar.is_finite() && planar.distance() <= MAX_COORDINATE { Ok(planar) } else { Err(InputError::PoseNotFinite) }
 }
 
 fn yaw(q: &Quaternion) -> Result<f64, InputError> {
@@ -540,10 +546,10 @@ fn yaw(q: &Quaternion) -> Result<f64, InputError> {
 }
 
 fn is_possible(twist: &Twist2) -> bool {
-    [twist.vx, twist.vy, twist.omega].iter().all(|velocity| velocity.abs() <= FASTEST)
+    [twist.vx, twist.vy, twist.omega].iter().all(|velocity| velocity.abs() <= MAX_VELOCITY)
 }
 
-/// A twist of zeros says nothing: that is how drivers without velocities leave it, and a robot at rest needs none.
+/// A zero twist carries no information: drivers without velocities leave it so, and a robot at rest needs none.
 fn planar_twist(twist: &Twist) -> Option<Twist2> {
     let planar = Twist2 { vx: twist.linear.x, vy: twist.linear.y, omega: twist.angular.z };
     (is_possible(&planar) && planar != Twist2::default()).then_some(planar)

@@ -1,4 +1,4 @@
-//! The report on an answer: one record, from which message, CSV and summary are made.
+//! The report on an answer: the one record that the message, the CSV row and the summary are made from.
 
 use super::Estimate;
 use super::localizer::Fix;
@@ -10,7 +10,7 @@ use crate::messages::std_msgs::Header;
 use crate::odometry::{Failure, OdometryCounters, Outcome};
 
 impl Estimate {
-    /// The report. Numbers of a refinement that was not made are NaN; `dropped`: scans so far.
+    /// The report. Values are NaN if there was no refinement. `dropped`: number of scans dropped so far.
     pub fn report(&self, header: Header, counters: &OdometryCounters, dropped: u64) -> MatchReport {
         let answer = &self.registration;
         let refinement = answer.refinement.as_ref();
@@ -56,7 +56,7 @@ impl Estimate {
             rotation_error: answer.estimated_error.rotation,
             condition_number: number(|r| r.condition_number),
             free_direction: number(|r| r.free_direction.unwrap_or(f64::NAN)),
-            disbelieved: answer.disbelieved.names().collect::<Vec<_>>().join(" "),
+            disbelieved: answer.rejected_sources.names().collect::<Vec<_>>().join(" "),
             new_keyframe: answer.new_keyframe,
             keyframes: count(counters.keyframes),
             closed_loops: count(counters.closed_loops),
@@ -66,7 +66,7 @@ impl Estimate {
 }
 
 impl Fix {
-    /// The report. Numbers of a filter that did not use the scan are NaN; `dropped`: scans so far.
+    /// The report. Values are NaN if the filter did not use the scan. `dropped`: number of scans dropped so far.
     pub fn report(&self, header: Header, dropped: u64) -> FilterReport {
         let belief = self.belief.as_ref();
         let number = |value: fn(&_) -> f64| belief.map_or(f64::NAN, value);
@@ -98,7 +98,7 @@ impl Fix {
     }
 }
 
-/// Messages count with 32 bits.
-fn count(of: u64) -> u32 {
-    u32::try_from(of).unwrap_or(u32::MAX)
+/// Converts a count to the 32 bits of the message.
+fn count(number: u64) -> u32 {
+    u32::try_from(number).unwrap_or(u32::MAX)
 }

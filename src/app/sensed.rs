@@ -1,4 +1,4 @@
-//! What a laser sends: a scan, or a cloud of points.
+//! The sensor messages that are matched: a laser scan or a point cloud.
 
 use crate::cloud::{self, CloudKnobs};
 use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
@@ -7,17 +7,17 @@ use crate::scan::{Scan, ScanConverter};
 use crate::time::Stamp;
 use crate::transforms::Mount;
 
-/// A message that is to be located.
+/// A scan or a point cloud.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Sensed {
-    /// Ranges.
+pub enum SensorMessage {
+    /// A laser scan.
     Scan(LaserScan),
-    /// Points.
+    /// A point cloud.
     Cloud(PointCloud2),
 }
 
-impl Sensed {
-    /// Its header.
+impl SensorMessage {
+    /// The header.
     pub fn header(&self) -> &Header {
         match self {
             Self::Scan(scan) => &scan.header,
@@ -25,12 +25,12 @@ impl Sensed {
         }
     }
 
-    /// Its stamp.
+    /// The stamp.
     pub fn stamp(&self) -> Stamp {
         self.header().stamp.into()
     }
 
-    /// Number of beams it has, or will have as a scan.
+    /// Number of beams of the scan, or of the scan that the cloud is converted to.
     pub fn beams(&self, knobs: &CloudKnobs) -> usize {
         match self {
             Self::Scan(scan) => scan.ranges.len(),
@@ -38,7 +38,7 @@ impl Sensed {
         }
     }
 
-    /// The scan that it is, if it is a usable one.
+    /// Converts the message to a scan; `None` if it is unusable.
     pub fn scan(&self, converter: &mut ScanConverter, knobs: &CloudKnobs, mount: &Mount) -> Option<Scan> {
         match self {
             Self::Scan(scan) => converter.convert(scan, mount.upside_down).ok(),

@@ -1,29 +1,30 @@
-//! Practice before the first scan: the costs of an answer become known, and code and memory warm.
+//! Warm-up before the first scan: a simulated drive is matched, so that the costs of matching become known and code and memory
+//! are warm.
 
 use std::convert::Infallible;
 use std::sync::Arc;
 
-use super::{Answering as _, App};
+use super::{App, ScanProcessor as _};
 use crate::anytime::contract::ContractKnobs;
 use crate::anytime::cost_model::CostModel;
-use crate::anytime::interrupt::Never;
+use crate::anytime::interrupt::NeverInterrupt;
 use crate::config::Config;
 use crate::knobs::Seconds;
 use crate::simulation::built_in::BuiltIn;
 use crate::simulation::drive::{Settings, SimulatedMessage, simulate};
 use crate::simulation::scene::Scene;
 
-/// Length of the drive, s: some dozens of scans, which take about as many milliseconds.
+/// Duration of the simulated drive, s: a few dozen scans, which take about as many milliseconds to match.
 const DURATION: f64 = 1.5;
-/// Rays that are used at most, one practice after the other; 0: all. Answers from few rays must be known as well.
-const RAYS: [u32; 4] = [32, 128, 512, 0];
+/// Limits of the rays used, one warm-up run for each; 0: no limit. The costs of matching few rays must be known, too.
+const MAX_RAYS: [u32; 4] = [32, 128, 512, 0];
 
-/// The costs of matching a short simulated drive with the knobs of `app`, to completion.
-pub(super) fn practise(app: &App) -> CostModel {
+/// Measures the costs of matching a short simulated drive to convergence with the parameters of `app`.
+pub(super) fn measure_costs(app: &App) -> CostModel {
     let drive = simulated_drive();
     let mut costs = CostModel::new(app.intake.config.contract.confidence);
-    for max_rays in RAYS {
-        costs = practise_with(app, max_rays, &drive, costs);
+    for max_rays in MAX_RAYS {
+        costs = measure_costs_with(app, max_rays, &drive, costs);
     }
     costs
 }
@@ -32,7 +33,7 @@ fn simulated_drive() -> Vec<SimulatedMessage> {
     let mut settings = Settings::default();
     settings.drive.duration = Seconds(DURATION);
     let mut messages = Vec::new();
-    // The built-in room can be driven through; without it there would be nothing to practise on.
+    // The built-in room can always be driven. Without it there would be nothing to match.
     if let Ok(scene) = Scene::built_in(BuiltIn::Room) {
         let Ok(()) = simulate(&settings, &scene, |_, message| {
             messages.push(message);
@@ -42,23 +43,23 @@ fn simulated_drive() -> Vec<SimulatedMessage> {
     messages
 }
 
-fn practise_with(app: &App, max_rays: u32, drive: &[SimulatedMessage], costs: CostModel) -> CostModel {
+fn measure_costs_with(app: &App, max_rays: u32, drive: &[SimulatedMessage], costs: CostModel) -> CostModel {
     let mut config = Config { contract: ContractKnobs::default(), ..app.intake.config.clone() };
     config.matching.max_rays = max_rays;
-    let Ok(mut practice) = App::new(&config, Arc::clone(&app.intake.clock)) else { return costs };
-    practice.intake.costs = costs;
+    let Ok(mut warm_up) = App::new(&config, Arc::clone(&app.intake.clock)) else { return costs };
+    warm_up.intake.costs = costs;
     for message in drive {
         // Simulated messages are never rejected.
         match message {
             SimulatedMessage::Scan(scan) => {
-                let mut estimate = practice.on_scan(scan, practice.intake.clock.now());
-                practice.conclude(&mut estimate);
-                practice.maintain(&Never);
+                let mut estimate = warm_up.on_scan(scan, warm_up.intake.clock.now());
+                warm_up.conclude(&mut estimate);
+                warm_up.maintain(&NeverInterrupt);
             }
-            SimulatedMessage::Odometry(odometry) => drop(practice.on_odometry(odometry)),
-            SimulatedMessage::Mount(transforms) => drop(practice.on_transforms(transforms)),
+            SimulatedMessage::Odometry(odometry) => drop(warm_up.on_odometry(odometry)),
+            SimulatedMessage::Mount(transforms) => drop(warm_up.on_transforms(transforms)),
             SimulatedMessage::Truth { .. } => {}
         }
     }
-    practice.intake.costs
+    warm_up.intake.costs
 }

@@ -1,4 +1,4 @@
-//! A controller that gives the scan matcher its time contract.
+//! A controller that sets the time contract of the scan matcher.
 #![allow(clippy::print_stdout, clippy::print_stderr)] // a program speaks to its user
 
 mod node_program;
@@ -10,15 +10,15 @@ use anytime_scan_matcher::ros::contract_demo::{self, ContractDemoKnobs};
 use node_program::{NodeProgram, own_arguments};
 
 const USAGE: &str = "\
-Gives the scan matcher its time contract by the robot's speed, short when it is fast, and logs how the contract is kept. A ROS 1 node;
-waits for the master when there is none.
+Sets the time contract of the scan matcher according to the robot's speed (short when it is fast) and logs how well the contract is
+kept. A ROS 1 node; if there is no master yet, it waits for one.
 
 Usage: contract_demo [TOPIC:=OTHER_TOPIC]... [_PARAMETER:=VALUE]... [__name:=NAME] [__ns:=NAMESPACE]
 
 Subscribes to:  icp/odom, icp_state, icp_report
 Publishes:      icp_contract
 
-Parameters, in the node's private namespace (~budget_fast):";
+Parameters, in the node's private namespace (such as ~budget_fast):";
 
 fn main() -> ExitCode {
     let parameters = ContractDemoKnobs::default().table().into_iter().map(|knob| (knob.name.into(), knob)).collect();

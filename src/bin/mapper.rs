@@ -10,15 +10,15 @@ use anytime_scan_matcher::ros;
 use node_program::{NodeProgram, own_arguments};
 
 const USAGE: &str = "\
-Matches laser scans and makes a map of what they show, while the robot drives. A ROS 1 node; waits for the master when there is none.
+Matches laser scans and builds a map from them while the robot drives. A ROS 1 node; if there is no master yet, it waits for one.
 
 Usage: mapper [TOPIC:=OTHER_TOPIC]... [_PARAMETER:=VALUE]... [__name:=NAME] [__ns:=NAMESPACE]
 
-Subscribes to:  what scan_matcher does
-Publishes:      what scan_matcher does, and map, map_metadata, mapper/graph
-Services:       what scan_matcher has, and dynamic_map, ~save_map
+Subscribes to:  the topics of scan_matcher
+Publishes:      the topics of scan_matcher, and map, map_metadata, mapper/graph
+Services:       those of scan_matcher, and dynamic_map, ~save_map
 
-Parameters, in the node's private namespace (~mapping/resolution), or in the YAML file that ~config names:";
+Parameters, in the node's private namespace (such as ~mapping/resolution) or in the YAML file named by ~config:";
 
 fn main() -> ExitCode {
     let is_used = |path: &str| !path.starts_with("localization");

@@ -10,16 +10,16 @@ use anytime_scan_matcher::ros::particle_filter;
 use node_program::{NodeProgram, own_arguments};
 
 const USAGE: &str = "\
-Finds the robot on a map by a particle filter and publishes where it is. A ROS 1 node; waits for the master when there is none.
+Localizes the robot on a map with a particle filter and publishes its pose. A ROS 1 node; if there is no master yet, it waits for one.
 
 Usage: particle_filter [TOPIC:=OTHER_TOPIC]... [_PARAMETER:=VALUE]... [__name:=NAME] [__ns:=NAMESPACE]
 
 Subscribes to:  scan or cloud, odom, map, initialpose, clicked_point, icp_contract, /tf, /tf_static
 Publishes:      pf/pose/odom, pf/report, pf/viz/particles, pf/viz/inferred_pose, pf/viz/fake_scan, /tf, /diagnostics,
-                and map, map_metadata where the map is from a file
+                and map, map_metadata if the map is read from a file
 Services:       ~global_localization, static_map
 
-Parameters, in the node's private namespace (~localization/map), or in the YAML file that ~config names:";
+Parameters, in the node's private namespace (such as ~localization/map) or in the YAML file named by ~config:";
 
 fn main() -> ExitCode {
     let is_used = |path: &str| {

@@ -10,16 +10,16 @@ use anytime_scan_matcher::ros::path_follower::{self, AllKnobs};
 use node_program::{NodeProgram, own_arguments};
 
 const USAGE: &str = "\
-Follows a path by poses that come late: a ROS 1 node; waits for the master when there is none.
+Follows a path, compensating the delay of the pose estimates. A ROS 1 node; if there is no master yet, it waits for one.
 
 Usage: path_follower [TOPIC:=OTHER_TOPIC]... [_PARAMETER:=VALUE]... [__name:=NAME] [__ns:=NAMESPACE]
 
 Subscribes to:  pose (nav_msgs/Odometry), path (nav_msgs/Path), scan (the emergency brake), /tf, /tf_static,
-                move_base_simple/goal and map (plans the way there)
+                move_base_simple/goal and map (to plan a path to the goal)
 Publishes:      drive (ackermann_msgs/AckermannDriveStamped), follower/report, follower/viz
-Service:        ~resume, after a stop before an obstacle
+Service:        ~resume (drives on after an emergency stop)
 
-Parameters, in the node's private namespace (~speed):";
+Parameters, in the node's private namespace (such as ~speed):";
 
 fn main() -> ExitCode {
     let parameters = AllKnobs::default().table().into_iter().map(|knob| (knob.name.into(), knob)).collect();

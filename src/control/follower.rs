@@ -1,11 +1,11 @@
-//! Follows a path by poses that come late: what the node and the closed loop have in common.
+//! Path follower with delay compensation, shared by the node and the closed-loop simulation.
 
 use std::time::Duration;
 
-use super::delay::{CommandHistory, Motion};
-use super::laws::{Law, View};
+use super::delay::{CommandHistory, VehicleState};
+use super::laws::{Law, LawInput};
 use super::path::{Path, PathError, Projection, Waypoint};
-use super::progress::{Arrival, Progress};
+use super::progress::{PathUpdate, Progress};
 use super::safety::{Footprint, StopReason};
 use super::speed::{SpeedLimits, SpeedProfile};
 use super::trim::Trim;
@@ -17,72 +17,72 @@ use crate::simulation::vehicle::{Command, VehicleKnobs};
 use crate::time::Stamp;
 
 knobs! {
-    /// How a path is followed, and by what car.
+    /// Path following, and the car that follows.
     pub struct FollowerKnobs {
-        /// How the car is steered.
+        /// Control law for the steering.
         law: Law = Law::Stanley;
-        /// Top speed; a path with speeds may ask for less, and curves do.
+        /// Top speed; curves, and speeds given with the path, may reduce it.
         speed: f64 = 2.0, in 0.1 to 20, unit "m/s";
-        /// Lateral acceleration in curves, which limits the speed there.
+        /// Maximum lateral acceleration; limits the speed in curves.
         lateral_acceleration: f64 = 4.0, in 0.1 to 20, unit "m/s^2";
-        /// Acceleration and braking along the path.
+        /// Acceleration and deceleration along the path.
         acceleration: f64 = 3.0, in 0.1 to 20, unit "m/s^2";
-        /// Braking when something is wrong.
+        /// Deceleration of a safety stop.
         braking: f64 = 6.0, in 0.1 to 20, unit "m/s^2";
-        /// The look-ahead grows by this much with each m/s.
+        /// Increase of the lookahead distance per m/s of speed.
         lookahead_time: Seconds = Seconds(0.25), in 0 to 5, unit "s";
-        /// The look-ahead at rest.
+        /// Lookahead distance at rest, before its limits apply.
         lookahead_distance: f64 = 0.3, in 0.05 to 10, unit "m";
-        /// The least look-ahead.
+        /// Minimum lookahead distance.
         min_lookahead: f64 = 0.6, in 0.05 to 10, unit "m";
-        /// The greatest look-ahead.
+        /// Maximum lookahead distance.
         max_lookahead: f64 = 4.0, in 0.1 to 50, unit "m";
-        /// Whether poses are carried from their stamps to the moment at which the command acts.
+        /// Predict poses from their stamps to the time at which the command takes effect.
         compensate_delay: bool = true;
-        /// Time from a command to its effect on wheels and motor.
+        /// Delay from a command to its effect on steering and motor.
         actuation_delay: Seconds = Seconds(0.0), in 0 to 1, unit "s";
-        /// The car brakes when the pose is older than this.
+        /// The car brakes if the pose is older than this.
         max_pose_age: Seconds = Seconds(0.5), in 0.01 to 10, unit "s";
-        /// The car brakes when scans have come and the last is older than this; 0: it drives on.
+        /// The car brakes if scans were received and the last one is older than this; 0: never.
         max_scan_age: Seconds = Seconds(1.0), in 0 to 10, unit "s";
-        /// The car brakes when the standard deviation of the position is greater than this; 0: whatever it is.
+        /// The car brakes if the standard deviation of the position is greater than this; 0: never.
         max_position_error: f64 = 0.5, in 0 to 100, unit "m";
-        /// The car brakes when the path is farther away than this.
+        /// The car brakes if the path is farther away than this.
         max_path_distance: f64 = 1.0, in 0.05 to 100, unit "m";
-        /// The car brakes, and stays, when by the scan it would hit something sooner than this; 0: never.
+        /// Emergency brake: the car stops, until resumed, if the time to collision by the scan is less than this; 0: never.
         min_time_to_collision: Seconds = Seconds(0.25), in 0 to 5, unit "s";
         /// Distance between the axles.
         wheelbase: f64 = racecar::WHEELBASE, in 0.05 to 5, unit "m";
-        /// From the rear axle to the front bumper.
+        /// Distance from the rear axle to the front bumper.
         front: f64 = 0.45, in 0.05 to 10, unit "m";
         /// Width of the car.
         width: f64 = 0.3, in 0.05 to 5, unit "m";
-        /// Greatest steering angle.
+        /// Maximum steering angle.
         max_steering: f64 = racecar::MAX_STEERING, in 0.05 to 1.4, unit "rad";
-        /// Greatest change of the steering angle.
+        /// Maximum rate of the steering angle.
         steering_rate: f64 = racecar::STEERING_RATE, in 0.1 to 20, unit "rad/s";
-        /// Greatest acceleration of the car, commanded or not.
+        /// Maximum acceleration that the car is capable of.
         max_acceleration: f64 = racecar::MAX_ACCELERATION, in 0.1 to 50, unit "m/s^2";
     }
 }
 
-/// The car is at the end of the path when it is no farther away than this, m.
-const AT_END: f64 = 0.05;
-/// Up to there it goes on at this speed at least, m/s: braking to the point would take for ever.
-const CREEP: f64 = 0.2;
-/// Slower than this a car stands, m/s.
-const STANDING: f64 = 0.05;
-/// Slower than this a car turns by too little for its steering to show, m/s.
-const ROLLING: f64 = 0.5;
-/// A clock that goes back, or on by more than this between two commands, has jumped, s.
-const JUMP: f64 = 2.0;
-/// Commands follow each other in no more than this, s; one that comes later is not made up for.
-const LONGEST_PERIOD: f64 = 0.1;
-/// A pose of the future by less than this is one of clocks that agree, s.
-const AHEAD: f64 = 0.1;
+/// The car has arrived if the rest of the path is no longer than this, m.
+const ARRIVAL_DISTANCE: f64 = 0.05;
+/// Minimum speed until arrival, m/s: at the planned speed the car would approach the end ever more slowly.
+const CREEP_SPEED: f64 = 0.2;
+/// Below this speed the car counts as standing, m/s.
+const STANDSTILL_SPEED: f64 = 0.05;
+/// Minimum speed for learning the steering trim, m/s: a slower car turns too little.
+const MIN_LEARNING_SPEED: f64 = 0.5;
+/// The clock has jumped if it goes back, or forward by more than this between two commands, s.
+const MAX_CLOCK_STEP: f64 = 2.0;
+/// Maximum command period that acceleration limits use, s: a longer gap between commands allows no larger change of speed.
+const MAX_PERIOD: f64 = 0.1;
+/// Poses may be stamped at most this far in the future, s: clocks are never exactly synchronized.
+const MAX_FUTURE: f64 = 0.1;
 
 impl FollowerKnobs {
-    /// The car.
+    /// Parameters of the vehicle model.
     pub fn car(&self) -> VehicleKnobs {
         VehicleKnobs {
             speed: self.speed,
@@ -94,7 +94,7 @@ impl FollowerKnobs {
         }
     }
 
-    /// The distance ahead to look at a speed, m.
+    /// Lookahead distance at a speed, m.
     pub fn lookahead(&self, speed: f64) -> f64 {
         let wanted = self.lookahead_time.0 * speed.abs() + self.lookahead_distance;
         wanted.max(self.min_lookahead).min(self.max_lookahead)
@@ -105,41 +105,41 @@ impl FollowerKnobs {
     }
 }
 
-/// A pose as an estimator gives it.
+/// A pose from an estimator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseReading {
-    /// When the car was there.
+    /// Time of the pose.
     pub stamp: Stamp,
-    /// In the frame of the path.
+    /// Pose of the rear axle in the frame of the path.
     pub pose: Pose2,
-    /// Forward speed, where it is known, m/s.
+    /// Forward speed, m/s, if known.
     pub speed: Option<f64>,
-    /// Standard deviation of the position, m; 0: not told.
+    /// Standard deviation of the position, m; 0: unknown.
     pub deviation: f64,
 }
 
-/// A command and how it came about.
+/// A command, and the state that led to it.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
-    /// What the car is to do.
+    /// The command for the car.
     pub command: Command,
-    /// Steering angle of that, rad.
+    /// Steering angle of the command, rad.
     pub steering: f64,
-    /// Why the car brakes or stands; `None`: it drives.
+    /// Why the car brakes or stands; `None` if it drives.
     pub stop: Option<StopReason>,
-    /// Where it is on the path when the command acts.
-    pub place: Option<Projection>,
-    /// Where it is then, if that is known.
+    /// Projection of the car onto the path at the time the command takes effect.
+    pub projection: Option<Projection>,
+    /// Predicted pose at that time, if known.
     pub pose: Option<Pose2>,
-    /// The distance ahead that is looked at, m.
+    /// Lookahead distance, m.
     pub lookahead: f64,
-    /// Age of the pose when the command acts, s.
+    /// Age of the pose when the command takes effect, s.
     pub pose_age: Option<f64>,
     /// Age of the path, s.
     pub path_age: Option<f64>,
 }
 
-/// Someone at the wheel who reads paths and poses.
+/// The path follower: turns paths, poses and scans into commands.
 #[derive(Clone, Debug)]
 pub struct Follower {
     knobs: FollowerKnobs,
@@ -149,14 +149,14 @@ pub struct Follower {
     profile: Option<SpeedProfile>,
     pose: Option<PoseReading>,
     scan: Option<(Stamp, Vec<Point>)>,
-    last: Option<(Stamp, Command)>,
-    /// Why the car stays where it is until it is told to go on.
+    last_command: Option<(Stamp, Command)>,
+    /// Reason of a stop that lasts until [`Self::resume`].
     latched: Option<StopReason>,
     clock_jumped: bool,
 }
 
 impl Follower {
-    /// Nothing is known yet.
+    /// A follower without path and pose.
     pub fn new(knobs: FollowerKnobs) -> Self {
         Self {
             history: CommandHistory::new(knobs.car()),
@@ -166,27 +166,27 @@ impl Follower {
             profile: None,
             pose: None,
             scan: None,
-            last: None,
+            last_command: None,
             latched: None,
             clock_jumped: false,
         }
     }
 
-    /// How it follows.
+    /// The parameters.
     pub fn knobs(&self) -> &FollowerKnobs {
         &self.knobs
     }
 
-    /// The path followed, and the progress on it.
+    /// The path followed, and the car's progress on it.
     pub fn progress(&self) -> Option<&Progress> {
         self.progress.as_ref()
     }
 
-    /// A path of points comes. One that is empty, or in one place, ends the drive: the car stops. One with numbers that are none is
-    /// refused, and the one before stays.
-    pub fn on_path(&mut self, waypoints: &[Waypoint], stamp: Stamp) -> Result<Arrival, PathError> {
+    /// Handles a path received as waypoints. A path that is empty or has no length stops the car. A path with non-finite numbers
+    /// is rejected, and the previous one is kept.
+    pub fn on_path(&mut self, waypoints: &[Waypoint], stamp: Stamp) -> Result<PathUpdate, PathError> {
         match Path::closed_if_loop(waypoints) {
-            Ok(path) => Ok(self.take_path(path, stamp)),
+            Ok(path) => Ok(self.follow_path(path, stamp)),
             Err(problem @ PathError::NotFinite { .. }) => Err(problem),
             Err(problem) => {
                 if self.progress.as_ref().is_none_or(|progress| stamp >= progress.stamp()) {
@@ -197,22 +197,22 @@ impl Follower {
         }
     }
 
-    /// A path comes.
-    pub fn take_path(&mut self, path: Path, stamp: Stamp) -> Arrival {
-        let arrival = match &mut self.progress {
-            Some(progress) => progress.offer(path, stamp),
+    /// Follows a path from now on, unless it is outdated or the same as the current one.
+    pub fn follow_path(&mut self, path: Path, stamp: Stamp) -> PathUpdate {
+        let update = match &mut self.progress {
+            Some(progress) => progress.update_path(path, stamp),
             none => {
                 *none = Some(Progress::new(path, stamp));
-                Arrival::Taken
+                PathUpdate::Accepted
             }
         };
-        if arrival == Arrival::Taken {
+        if update == PathUpdate::Accepted {
             self.profile = self.progress.as_ref().map(|progress| SpeedProfile::new(progress.path(), &self.knobs.limits()));
         }
-        arrival
+        update
     }
 
-    /// A pose comes; one that is older than the last is of no use.
+    /// Handles a pose; one that is older than the last is ignored.
     pub fn on_pose(&mut self, reading: PoseReading) {
         if reading.pose.is_finite() && self.pose.is_none_or(|last| last.stamp <= reading.stamp) {
             if let Some(last) = self.pose.replace(reading) {
@@ -222,67 +222,68 @@ impl Follower {
         }
     }
 
-    /// From one pose to the next the car was to turn as commanded; not if it rolls though it is told to stand: somebody else drives.
+    /// Learns the steering trim from the heading change between two poses compared with the commanded one. A car that rolls
+    /// although commanded to stand is driven by somebody else: nothing is learned.
     fn learn_trim(&mut self, last: &PoseReading, next: &PoseReading) {
-        if self.last.is_none_or(|(_, command)| command.speed < ROLLING) {
+        if self.last_command.is_none_or(|(_, command)| command.speed < MIN_LEARNING_SPEED) {
             return;
         }
-        let carried = self.history.carry(last.pose, last.stamp, last.speed, next.stamp);
-        let way = carried.speed * next.stamp.seconds_since(last.stamp);
-        if carried.speed.abs() > ROLLING {
-            self.trim.learn(carried.pose.between(&next.pose).theta, way, self.knobs.wheelbase);
+        let predicted = self.history.predict(last.pose, last.stamp, last.speed, next.stamp);
+        let distance = predicted.speed * next.stamp.seconds_since(last.stamp);
+        if predicted.speed.abs() > MIN_LEARNING_SPEED {
+            self.trim.learn(predicted.pose.between(&next.pose).theta, distance, self.knobs.wheelbase);
         }
     }
 
-    /// What the laser sees, from the rear axle.
+    /// Handles the points of a scan, in the frame of the rear axle.
     pub fn on_scan(&mut self, stamp: Stamp, points: Vec<Point>) {
         self.scan = Some((stamp, points));
     }
 
-    /// Somebody says that the car may go on after it has stopped before an obstacle.
+    /// Releases the stop in front of an obstacle.
     pub fn resume(&mut self) {
         self.latched = None;
     }
 
-    /// What to do now.
+    /// Computes the command at a time.
     pub fn command(&mut self, now: Stamp) -> Step {
-        self.look_at_clock(now);
-        let acts = now.offset_by(self.knobs.actuation_delay.0);
-        let before = self.last.map_or(Command::default(), |(_, command)| command);
-        let period = self.last.map_or(0.0, |(last, _)| now.seconds_since(last)).min(LONGEST_PERIOD);
-        let motion = self.motion(acts);
-        let speed = motion.map_or(before.speed, |motion| motion.speed);
-        let place = self.look(motion, period);
+        self.check_clock(now);
+        let effect_time = now.offset_by(self.knobs.actuation_delay.0);
+        let before = self.last_command.map_or(Command::default(), |(_, command)| command);
+        let period = self.last_command.map_or(0.0, |(last, _)| now.seconds_since(last)).min(MAX_PERIOD);
+        let state = self.predicted_state(effect_time);
+        let speed = state.map_or(before.speed, |state| state.speed);
+        let projection = self.update_progress(state, period);
         let lookahead = self.knobs.lookahead(speed);
-        let curvature = self.steer(motion, place, lookahead).unwrap_or(before.curvature);
-        let stop = self.stop_reason(now, place, speed, curvature);
+        let curvature = self.law_curvature(state, projection, lookahead).unwrap_or(before.curvature);
+        let stop = self.stop_reason(now, projection, speed, curvature);
         let wanted = match stop {
-            None => self.speed(place, speed, period).min(before.speed.max(speed) + self.knobs.acceleration * period),
+            None => self.path_speed(projection, speed, period).min(before.speed.max(speed) + self.knobs.acceleration * period),
             Some(_) => (before.speed - self.knobs.braking * period).max(0.0),
         };
         let command = Command { speed: wanted, curvature };
-        self.history.record(acts, command);
-        self.last = Some((now, command));
+        self.history.record(effect_time, command);
+        self.last_command = Some((now, command));
         self.latched = stop.filter(StopReason::is_latched);
-        // The history has what the car is to do: what it is told to that end is another matter.
-        let straight = (self.knobs.wheelbase * curvature).atan();
-        let steering = (straight - self.trim.angle()).clamp(-self.knobs.max_steering, self.knobs.max_steering);
+        // The history records the intended motion, without the trim that is subtracted from the steering angle.
+        let intended = (self.knobs.wheelbase * curvature).atan();
+        let steering = (intended - self.trim.angle()).clamp(-self.knobs.max_steering, self.knobs.max_steering);
         Step {
             command: Command { curvature: steering.tan() / self.knobs.wheelbase, ..command },
             steering,
             stop,
-            place,
-            pose: motion.map(|motion| motion.pose),
+            projection,
+            pose: state.map(|state| state.pose),
             lookahead,
-            pose_age: self.pose.map(|pose| acts.seconds_since(pose.stamp)),
+            pose_age: self.pose.map(|pose| effect_time.seconds_since(pose.stamp)),
             path_age: self.progress.as_ref().map(|progress| now.seconds_since(progress.stamp())),
         }
     }
 
-    /// After a jump nothing that was stamped before it is of use.
-    fn look_at_clock(&mut self, now: Stamp) {
-        let Some((last, _)) = self.last else { return };
-        if (0.0..=JUMP).contains(&now.seconds_since(last)) {
+    /// Discards everything that was stamped before a clock jump.
+    fn check_clock(&mut self, now: Stamp) {
+        let Some((last, _)) = self.last_command else { return };
+        if (0.0..=MAX_CLOCK_STEP).contains(&now.seconds_since(last)) {
             return;
         }
         self.history.clear();
@@ -292,48 +293,49 @@ impl Follower {
         }
     }
 
-    /// Where the car is at a time, as far as that is known.
+    /// Predicted pose at a time, if known.
     pub fn pose_at(&self, now: Stamp) -> Option<Pose2> {
-        self.motion(now).map(|motion| motion.pose)
+        self.predicted_state(now).map(|state| state.pose)
     }
 
-    /// The car when the command acts.
-    fn motion(&self, acts: Stamp) -> Option<Motion> {
+    /// Predicted state of the car at the time a command takes effect; without delay compensation, at the stamp of the pose.
+    fn predicted_state(&self, effect_time: Stamp) -> Option<VehicleState> {
         let PoseReading { stamp, pose, speed, .. } = self.pose?;
-        let until = if self.knobs.compensate_delay { acts.max(stamp) } else { stamp };
-        Some(self.history.carry(pose, stamp, speed, until))
+        let until = if self.knobs.compensate_delay { effect_time.max(stamp) } else { stamp };
+        Some(self.history.predict(pose, stamp, speed, until))
     }
 
-    fn look(&mut self, motion: Option<Motion>, period: f64) -> Option<Projection> {
-        let (progress, motion) = (self.progress.as_mut()?, motion?);
-        let place = progress.look(&motion.pose, motion.speed.abs() * period);
-        let is_far = place.is_none_or(|place| place.distance > self.knobs.max_path_distance);
-        if is_far && motion.speed.abs() < STANDING {
-            // It has been put somewhere else, or its pose has been corrected.
-            progress.forget();
-            return progress.look(&motion.pose, 0.0);
+    fn update_progress(&mut self, state: Option<VehicleState>, period: f64) -> Option<Projection> {
+        let (progress, state) = (self.progress.as_mut()?, state?);
+        let projection = progress.update(&state.pose, state.speed.abs() * period);
+        let is_far = projection.is_none_or(|projection| projection.distance > self.knobs.max_path_distance);
+        if is_far && state.speed.abs() < STANDSTILL_SPEED {
+            // The car was picked up and moved, or its pose was corrected: search the whole path.
+            progress.reset();
+            return progress.update(&state.pose, 0.0);
         }
-        place
+        projection
     }
 
-    fn steer(&self, motion: Option<Motion>, place: Option<Projection>, lookahead: f64) -> Option<f64> {
-        let (motion, place, progress) = (motion?, place?, self.progress.as_ref()?);
+    fn law_curvature(&self, state: Option<VehicleState>, projection: Option<Projection>, lookahead: f64) -> Option<f64> {
+        let (state, projection, progress) = (state?, projection?, self.progress.as_ref()?);
         let path = progress.path();
-        let view = View { path, place, pose: motion.pose, speed: motion.speed, lookahead, wheelbase: self.knobs.wheelbase };
-        let most = self.knobs.max_steering.tan() / self.knobs.wheelbase;
-        Some(self.knobs.law.curvature(&view))
+        let input =
+            LawInput { path, projection, pose: state.pose, speed: state.speed, lookahead, wheelbase: self.knobs.wheelbase };
+        let max_curvature = self.knobs.max_steering.tan() / self.knobs.wheelbase;
+        Some(self.knobs.law.curvature(&input))
             .filter(|curvature| curvature.is_finite())
-            .map(|curvature| curvature.clamp(-most, most))
+            .map(|curvature| curvature.clamp(-max_curvature, max_curvature))
     }
 
     /// The speed that the path allows.
-    fn speed(&self, place: Option<Projection>, speed: f64, period: f64) -> f64 {
-        let (Some(place), Some(profile), Some(progress)) = (place, &self.profile, &self.progress) else { return 0.0 };
-        let allowed = profile.at(place.along + speed.max(0.0) * period);
-        if progress.path().remaining(place.along).is_finite() { allowed.max(CREEP) } else { allowed }
+    fn path_speed(&self, projection: Option<Projection>, speed: f64, period: f64) -> f64 {
+        let (Some(projection), Some(profile), Some(progress)) = (projection, &self.profile, &self.progress) else { return 0.0 };
+        let allowed = profile.at(projection.along + speed.max(0.0) * period);
+        if progress.path().remaining(projection.along).is_finite() { allowed.max(CREEP_SPEED) } else { allowed }
     }
 
-    fn stop_reason(&self, now: Stamp, place: Option<Projection>, speed: f64, curvature: f64) -> Option<StopReason> {
+    fn stop_reason(&self, now: Stamp, projection: Option<Projection>, speed: f64, curvature: f64) -> Option<StopReason> {
         let knobs = &self.knobs;
         if let Some(seconds) = self.seconds_to_collision(now, speed, curvature)
             && seconds < knobs.min_time_to_collision.0
@@ -348,7 +350,7 @@ impl Follower {
             return Some(if self.clock_jumped { StopReason::ClockJumped } else { StopReason::NoPose });
         };
         let age = now.seconds_since(pose.stamp);
-        if age > knobs.max_pose_age.0 || age < -AHEAD {
+        if age > knobs.max_pose_age.0 || age < -MAX_FUTURE {
             return Some(StopReason::PoseAge(age));
         }
         if knobs.max_position_error > 0.0 && (pose.deviation > knobs.max_position_error || pose.deviation.is_nan()) {
@@ -361,27 +363,27 @@ impl Follower {
         {
             return Some(StopReason::ScanAge(age));
         }
-        let Some(place) = place else { return Some(StopReason::WrongWay) };
-        let remaining = progress.path().remaining(place.along);
-        match place.distance {
-            _ if remaining <= AT_END => Some(StopReason::Arrived),
+        let Some(projection) = projection else { return Some(StopReason::WrongWay) };
+        let remaining = progress.path().remaining(projection.along);
+        match projection.distance {
+            _ if remaining <= ARRIVAL_DISTANCE => Some(StopReason::Arrived),
             distance if distance > knobs.max_path_distance => Some(StopReason::PathFar(distance)),
             _ => None,
         }
     }
 
-    /// `None`: there is no scan, or the car stands.
+    /// Time to collision by the last scan, s; `None` if there is no scan or the car stands.
     fn seconds_to_collision(&self, now: Stamp, speed: f64, curvature: f64) -> Option<f64> {
         let (stamp, points) = self.scan.as_ref()?;
-        if self.knobs.min_time_to_collision.0 == 0.0 || speed < STANDING {
+        if self.knobs.min_time_to_collision.0 == 0.0 || speed < STANDSTILL_SPEED {
             return None;
         }
         let footprint = Footprint { front: self.knobs.front, width: self.knobs.width };
         let age = now.seconds_since(*stamp).clamp(0.0, self.knobs.max_scan_age.0);
-        Some(footprint.free_way(points, curvature) / speed - age)
+        Some(footprint.free_distance(points, curvature) / speed - age)
     }
 
-    /// How often a command is due at least for its speed to be as smooth as the plan.
+    /// Recommended period of the commands: slower commands would follow the speed profile in visible steps.
     pub const PERIOD: Duration = Duration::from_millis(20);
 }
 
@@ -394,7 +396,7 @@ mod tests {
     /// A car, its follower, and a clock.
     struct Drive {
         knobs: VehicleKnobs,
-        /// Steering angle of the wheels when they are told to be straight, rad.
+        /// Steering angle of the wheels when commanded to be straight, rad.
         offset: f64,
         follower: Follower,
         pose: Pose2,
@@ -425,12 +427,12 @@ mod tests {
             drive
         }
 
-        fn give(&mut self, points: &[(f64, f64)], stamp: f64) -> Result<Arrival, PathError> {
+        fn give(&mut self, points: &[(f64, f64)], stamp: f64) -> Result<PathUpdate, PathError> {
             self.follower.on_path(&waypoints(points), Stamp::from_seconds(stamp))
         }
 
-        /// The lateral error to the path followed, m.
-        fn line(&self) -> f64 {
+        /// Lateral error to the followed path, m.
+        fn lateral_error(&self) -> f64 {
             let path = self.follower.progress().unwrap().path();
             path.project(&self.pose, 0.0, path.length()).unwrap().lateral_error
         }
@@ -444,12 +446,12 @@ mod tests {
             let mut vehicle = Vehicle::moving(&self.knobs, self.speed, self.steering);
             let curvature = (step.steering + self.offset).tan() / self.knobs.wheelbase;
             self.pose = self.pose * vehicle.step(Command { curvature, ..step.command }, 0.02).motion(0.02);
-            (self.speed, self.steering) = (vehicle.speed(), vehicle.turn());
+            (self.speed, self.steering) = (vehicle.speed(), vehicle.steering_state());
             self.now += 0.02;
             step
         }
 
-        /// The last step.
+        /// Runs for some time, s; returns the last step.
         fn run(&mut self, seconds: f64) -> Step {
             let end = self.now + seconds;
             while self.now < end - 0.021 {
@@ -462,12 +464,12 @@ mod tests {
     const LINE: [(f64, f64); 3] = [(0.0, 0.0), (5.0, 0.0), (10.0, 0.0)];
 
     #[test]
-    fn it_stops_at_the_end_of_the_path_and_on_it() {
+    fn it_stops_at_the_end_of_the_path() {
         let mut drive = Drive::on(&LINE);
         let step = drive.run(12.0);
         assert_eq!(step.stop, Some(StopReason::Arrived));
         assert!((drive.pose.x - 10.0).abs() < 0.06 && drive.pose.y.abs() < 0.01 && drive.speed < 1e-9, "{:?}", drive.pose);
-        // Another path: it goes on.
+        // With another path it continues.
         drive.give(&[(9.0, 0.0), (15.0, 0.0)], 113.0).unwrap();
         assert_eq!(drive.run(1.0).stop, None);
     }
@@ -493,7 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn it_brakes_when_poses_end_and_goes_on_when_they_come_again() {
+    fn it_brakes_without_poses_and_continues_when_they_return() {
         let mut drive = Drive::on(&[(0.0, 0.0), (100.0, 0.0)]);
         assert_eq!(drive.run(2.0).stop, None);
         assert!(drive.speed > 1.9);
@@ -507,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn it_stops_for_no_path_one_far_away_and_a_pose_that_nobody_knows() {
+    fn it_stops_without_path_far_from_it_and_with_an_uncertain_pose() {
         let mut drive = Drive::new(FollowerKnobs::default());
         assert_eq!(drive.run(0.1).stop, Some(StopReason::NoPath));
         drive.give(&[(0.0, 5.0), (10.0, 5.0)], 100.0).unwrap();
@@ -524,20 +526,20 @@ mod tests {
             assert_eq!(drive.run(0.2).stop, None);
         }
         assert!(drive.give(&[(0.0, 0.0), (f64::NAN, 0.0)], 104.0).is_err());
-        assert_eq!(drive.run(0.2).stop, None, "the path before stays");
+        assert_eq!(drive.run(0.2).stop, None, "the previous path is kept");
         let stamp = Stamp::from_seconds(drive.now);
         drive.follower.on_pose(PoseReading { stamp, pose: drive.pose, speed: None, deviation: 2.0 });
         assert_eq!(drive.follower.command(stamp).stop, Some(StopReason::PoseUncertain(2.0)));
     }
 
     #[test]
-    fn wheels_that_are_not_straight_do_not_keep_the_car_beside_the_path() {
+    fn a_steering_offset_causes_no_lasting_lateral_error() {
         let mut drive = Drive::new(FollowerKnobs { speed: 7.0, ..FollowerKnobs::default() });
         drive.offset = 0.02;
         drive.give(&[(0.0, 0.0), (200.0, 0.0)], 100.0).unwrap();
         drive.run(2.0);
         drive.run(4.0);
-        assert!(drive.pose.x > 20.0 && drive.line().abs() < 0.005, "{} m beside the path", drive.line());
+        assert!(drive.pose.x > 20.0 && drive.lateral_error().abs() < 0.005, "{} m beside the path", drive.lateral_error());
     }
 
     #[test]
@@ -549,11 +551,15 @@ mod tests {
         assert_eq!(drive.tick().stop, Some(StopReason::ClockJumped));
         drive.poses = true;
         assert_eq!(drive.tick().stop, None);
-        assert_eq!(drive.give(&LINE, drive.now), Ok(Arrival::Taken), "older than the one before, by the clock of before");
+        assert_eq!(
+            drive.give(&LINE, drive.now),
+            Ok(PathUpdate::Accepted),
+            "its stamp is older than that of the path before the clock jump"
+        );
     }
 
     #[test]
-    fn it_stays_before_an_obstacle_until_told_to_go_on() {
+    fn it_stays_in_front_of_an_obstacle_until_resumed() {
         let mut drive = Drive::on(&[(0.0, 0.0), (100.0, 0.0)]);
         drive.run(2.0);
         let scan = |drive: &mut Drive, x: f64| {
@@ -576,8 +582,8 @@ mod tests {
     }
 
     #[test]
-    fn paths_that_come_late_and_shuffled_leave_no_stop_and_no_step_in_the_line() {
-        // Every one 2 s late, and 0 to 2 s by turns: the newer ones overtake.
+    fn late_and_reordered_paths_cause_no_stop_and_no_jump() {
+        // All paths 2 s late, and alternating between 0 and 2 s, so that newer ones overtake older ones.
         for lateness in [[2.0, 2.0, 2.0], [2.0, 0.0, 1.0]] {
             let mut drive = Drive::new(FollowerKnobs { speed: 7.0, ..FollowerKnobs::default() });
             let wave = |x: f64| 2.0 * (0.15 * x).sin();
@@ -593,9 +599,13 @@ mod tests {
                 waiting.retain(|(due, stamp, path)| {
                     let is_due = *due <= drive.now;
                     if is_due {
-                        let before = drive.line();
+                        let before = drive.lateral_error();
                         drive.follower.on_path(&waypoints(path), Stamp::from_seconds(*stamp)).unwrap();
-                        assert!((drive.line() - before).abs() < 0.05, "at {tick}: from {before} to {} m", drive.line());
+                        assert!(
+                            (drive.lateral_error() - before).abs() < 0.05,
+                            "at {tick}: from {before} to {} m",
+                            drive.lateral_error()
+                        );
                     }
                     !is_due
                 });

@@ -1,17 +1,17 @@
-//! The car drives itself: from a path and poses that come late to a speed and a steering angle.
+//! Path following: computes speed and steering angle from a path and delayed poses.
 //!
 //! ```text
 //!  path ──► Progress ──► Projection ──► law ──► curvature ──┐
 //!                            ▲     └──► speed profile ──────┼──► Command ──► history ─┐
-//!  pose ──► carried from its stamp to when the command acts ┘                         │
-//!             ▲──────────────────────────────────────────────── by the last commands ─┘
+//!  pose ──► predicted to when the command takes effect ─────┘                         │
+//!             ▲─────────────────────────────────────────────── using recent commands ─┘
 //! ```
 //!
-//! What the wheels are told is the steering angle of the command less the [`trim`], which is learned from how far the car turns otherwise
-//! than commanded.
+//! The published steering angle is that of the command minus the [`trim`], which is learned from the difference between actual
+//! and commanded heading change.
 //!
-//! [`follower::Follower`] puts this together; the node and the closed loop offline both drive it. A [`laws`] file is one control law, a
-//! [`policy`] file is one way to choose the time contract of the estimator that the poses come from.
+//! [`follower::Follower`] combines these; the node and the closed-loop simulation both use it. Each file in [`laws`] is a control
+//! law, each file in [`policy`] is a policy that chooses the time contract of the pose estimator.
 
 pub mod delay;
 pub mod follower;

@@ -1,23 +1,23 @@
-//! How fast the car may go at each place of a path.
+//! Speed profile along a path.
 
 use super::path::Path;
 
-/// Distance between the places, m.
+/// Distance between the samples of the profile, m.
 const SPACING: f64 = 0.2;
 
-/// What limits the speed.
+/// Limits of the speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SpeedLimits {
-    /// Nowhere faster than this, m/s.
+    /// Top speed, m/s.
     pub top: f64,
-    /// Lateral acceleration in curves, m/s^2.
+    /// Maximum lateral acceleration, m/s^2.
     pub lateral_acceleration: f64,
-    /// Braking that is planned with, m/s^2.
+    /// Planned deceleration, m/s^2.
     pub braking: f64,
 }
 
-/// The speed at places all along a path: that of the path where it says one, never more than curves allow, and always such that braking
-/// brings the car to what is ahead: a curve, a slower stretch, or the end.
+/// The speed along a path: the speed that the path requests, limited by the curvature, and such that the car can brake in time
+/// for everything ahead: a curve, a slower section or the end.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpeedProfile {
     speeds: Vec<f64>,
@@ -26,43 +26,43 @@ pub struct SpeedProfile {
 }
 
 impl SpeedProfile {
-    /// Of a path.
+    /// The speed profile of a path.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a length in steps
     pub fn new(path: &Path, limits: &SpeedLimits) -> Self {
         let steps = (path.length() / SPACING).ceil().max(1.0) as usize;
         let spacing = path.length() / steps as f64;
         let count = if path.is_closed() { steps } else { steps + 1 };
-        let allowed = |place: usize| {
-            let along = place as f64 * spacing;
-            let in_curve = (limits.lateral_acceleration / path.curvature(along).abs()).sqrt();
-            path.speed(along).unwrap_or(f64::INFINITY).min(in_curve).min(limits.top)
+        let allowed = |sample: usize| {
+            let along = sample as f64 * spacing;
+            let curve_limit = (limits.lateral_acceleration / path.curvature(along).abs()).sqrt();
+            path.speed(along).unwrap_or(f64::INFINITY).min(curve_limit).min(limits.top)
         };
         let mut speeds: Vec<f64> = (0..count).map(allowed).collect();
         let gain = 2.0 * limits.braking * spacing;
         let mut next = if path.is_closed() { f64::INFINITY } else { 0.0 };
-        // Twice round a closed path: what is ahead of its last place is its first.
+        // Two rounds of a closed path: its last sample is followed by its first.
         let rounds = if path.is_closed() { 2 } else { 1 };
         if !path.is_closed() {
             speeds[count - 1] = 0.0;
         }
-        for place in (0..count).rev().cycle().take(rounds * count) {
-            speeds[place] = speeds[place].min((next * next + gain).sqrt());
-            next = speeds[place];
+        for sample in (0..count).rev().cycle().take(rounds * count) {
+            speeds[sample] = speeds[sample].min((next * next + gain).sqrt());
+            next = speeds[sample];
         }
         Self { speeds, spacing, is_closed: path.is_closed() }
     }
 
-    /// So far along the path, m/s; between two places as at constant acceleration.
-    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a place of the path
+    /// Speed at an arc length, m/s; interpolated with constant acceleration between two samples.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a sample index
     pub fn at(&self, along: f64) -> f64 {
         let count = self.speeds.len();
-        let place = (along / self.spacing).max(0.0);
-        let (here, share) = (place.floor() as usize, place.fract());
+        let position = (along / self.spacing).max(0.0);
+        let (here, fraction) = (position.floor() as usize, position.fract());
         if !self.is_closed && here + 1 >= count {
             return self.speeds[count - 1];
         }
         let squared = |index: usize| self.speeds[index % count].powi(2);
-        (squared(here) * (1.0 - share) + squared(here + 1) * share).sqrt()
+        (squared(here) * (1.0 - fraction) + squared(here + 1) * fraction).sqrt()
     }
 }
 
@@ -75,7 +75,7 @@ mod tests {
     const LIMITS: SpeedLimits = SpeedLimits { top: 7.0, lateral_acceleration: 4.0, braking: 2.0 };
 
     #[test]
-    fn curves_limit_the_speed_and_ends_are_braked_for() {
+    fn curves_limit_the_speed_and_the_car_brakes_for_the_end() {
         let round = SpeedProfile::new(&circle(4.0, 200), &LIMITS);
         assert!((0..300).all(|i| (round.at(f64::from(i) * 0.1) - 4.0).abs() < 0.15));
         let line = SpeedProfile::new(&Path::new(&waypoints(&[(0.0, 0.0), (20.0, 0.0)]), false).unwrap(), &LIMITS);
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn the_path_may_ask_for_less() {
+    fn the_path_may_request_less() {
         let slow =
             |x: f64| Waypoint { point: crate::geometry::Point::new(x, 0.0), speed: Some(if x < 10.0 { 3.0 } else { 1.0 }) };
         let points: Vec<_> = (0..40).map(|i| slow(f64::from(i))).collect();

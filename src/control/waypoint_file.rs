@@ -1,38 +1,40 @@
-//! Racelines as files: one waypoint a line, as the stacks of F1TENTH write them.
+//! Raceline files: one waypoint per line, in the formats of the F1TENTH software stacks.
 //!
-//! Values are separated by `,` or `;`, what follows `#` is a comment. A comment, or a first line, of names says which column is which
-//! (`# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`, as TUM's global planner writes). Without names a line is `x, y`,
-//! `x, y, speed`, or `x, y, yaw, speed`, as F1TENTH's waypoint logger writes.
+//! Values are separated by `,` or `;`; text after `#` is a comment. A comment or first line with column names defines the columns
+//! (`# s_m; x_m; y_m; psi_rad; kappa_radpm; vx_mps; ax_mps2`, as written by TUM's global planner). Without names a line is
+//! `x, y`, `x, y, speed`, or `x, y, yaw, speed`, as written by F1TENTH's waypoint logger.
 
 use thiserror::Error;
 
 use super::path::Waypoint;
 use crate::geometry::Point;
 
-/// Names of the columns, in small letters.
+/// Names of the x column, in lower case.
 const X: [&str; 3] = ["x", "x_m", "x_ref_m"];
+/// Names of the y column, in lower case.
 const Y: [&str; 3] = ["y", "y_m", "y_ref_m"];
+/// Names of the speed column, in lower case.
 const SPEED: [&str; 6] = ["speed", "v", "vx", "vx_mps", "v_mps", "velocity"];
 
-/// A file that holds no waypoints.
+/// Why a file is not a valid waypoint file.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum WaypointFileError {
-    /// A line that is none.
+    /// An invalid line.
     #[error(
-        "line {line}: expected numbers (x, y[, speed], or x, y, yaw, speed; others take a line '# x_m; y_m; ...' that names them), got '{text}'"
+        "line {line}: expected numbers (x, y[, speed], or x, y, yaw, speed; name other columns in a line '# x_m; y_m; ...'), got '{text}'"
     )]
     Line {
-        /// Which one, from 1.
+        /// Line number, from 1.
         line: usize,
-        /// Its outputs.
+        /// The line.
         text: String,
     },
-    /// There is no line with numbers.
-    #[error("there are no waypoints in it: expected lines x, y[, speed]")]
+    /// The file has no line with numbers.
+    #[error("the file has no waypoints: expected lines x, y[, speed]")]
     Empty,
 }
 
-/// Which value of a line is what.
+/// Indices of the columns.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Columns {
     x: usize,
@@ -41,14 +43,14 @@ struct Columns {
 }
 
 impl Columns {
-    /// By their names, if these are names.
+    /// Columns by name, if the text holds column names.
     fn named(text: &str) -> Option<Self> {
         let names: Vec<String> = values(text).map(str::to_lowercase).collect();
         let find = |wanted: &[&str]| names.iter().position(|name| wanted.contains(&name.as_str()));
         Some(Self { x: find(&X)?, y: find(&Y)?, speed: find(&SPEED) })
     }
 
-    /// By their number.
+    /// Columns by the number of values.
     fn counted(count: usize) -> Option<Self> {
         let speed = match count {
             2 => None,
@@ -70,7 +72,7 @@ fn values(text: &str) -> impl Iterator<Item = &str> {
     text.split([',', ';']).map(str::trim)
 }
 
-/// The waypoints of a file's text.
+/// Parses the waypoints of a file.
 pub fn parse(text: &str) -> Result<Vec<Waypoint>, WaypointFileError> {
     let mut columns = None;
     let mut waypoints = Vec::new();
@@ -98,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn racelines_are_read_as_their_stacks_write_them() {
+    fn racelines_of_common_stacks_are_parsed() {
         assert_eq!(read("1,2\n3, 4\n"), [(1.0, 2.0, None), (3.0, 4.0, None)]);
         assert_eq!(read("# a lap\n1, 2, 5 # fast\n\n3;4;6\n"), [(1.0, 2.0, Some(5.0)), (3.0, 4.0, Some(6.0))]);
         assert_eq!(read("1.5,2,0.7,4"), [(1.5, 2.0, Some(4.0))]);
@@ -109,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_raceline_names_the_line() {
+    fn errors_name_the_line() {
         let problem = parse("1,2\nNaN,2\n").unwrap_err();
         assert_eq!(problem, WaypointFileError::Line { line: 2, text: "NaN,2".into() });
         assert!(parse("1,2,3,4,5").unwrap_err().to_string().contains("line 1"));

@@ -1,4 +1,4 @@
-//! One drive, millisecond by millisecond.
+//! Simulation of one closed-loop drive, in steps of a millisecond.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,14 +7,14 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
 use super::course::Course;
-use super::estimator::{Answer, Estimator, Times, of_truth};
+use super::estimator::{Estimator, TimedAnswer, Times, true_answer};
 use super::figures::{Ending, Run, Trace};
 use super::flaws::{CarFlaws, FlawKnobs};
 use super::processor::{Load, Processor};
-use super::replanning::{Planner, Replanning, step_aside};
+use super::replanning::{Planner, Replanning, line_jump};
 use super::{DriveError, EstimatorKind};
 use crate::anytime::cost_model::CostModel;
-use crate::anytime::mode::{Outside, Watch};
+use crate::anytime::mode::{ConditionMonitor, OutOfRange};
 use crate::config::Config;
 use crate::control::follower::{Follower, FollowerKnobs, Step};
 use crate::control::policy::{Policy, Situation};
@@ -28,22 +28,24 @@ use crate::simulation::odometer::{Odometer, OdometerKnobs};
 use crate::simulation::vehicle::{Command, VehicleKnobs};
 use crate::time::Stamp;
 
-/// From one moment to the next, ms.
+/// Step of the simulation, ms.
 const TICK: u64 = 1;
-/// From the last ray of a scan to its arrival, ms: drivers take some milliseconds.
+/// Time from the last ray of a scan to its arrival, ms: laser drivers take some milliseconds.
 const SCAN_LATENCY: u64 = 5;
-/// From one command to the next, ms.
+/// Period of the commands, ms.
 const COMMAND_PERIOD: u64 = 20;
-/// From one look at the true error to the next, ms.
-const LOOK_PERIOD: u64 = 10;
-/// A car that has not come on for so long has stopped for good, ms.
-const STUCK: u64 = 10_000;
-/// It has come on when it is so much farther, m.
-const ON: f64 = 0.2;
-/// Weight of the last whole answer's work in the mean that an oracle knows.
+/// Sampling period of the true tracking error, ms.
+const ERROR_PERIOD: u64 = 10;
+/// The drive ends as stopped if the car makes no progress for this long, ms.
+const STUCK_TIME: u64 = 10_000;
+/// Distance along the path that counts as progress, m.
+const MIN_PROGRESS: f64 = 0.2;
+/// Below this speed a car that has arrived counts as finished, m/s.
+const ARRIVED_SPEED: f64 = 0.2;
+/// Weight of the latest complete answer in the moving mean of the work, which the oracle policy knows.
 const SMOOTHING: f64 = 0.1;
 
-/// Everything that makes a drive.
+/// Everything that determines a drive.
 #[derive(Clone)]
 pub(super) struct Setup<'a> {
     pub(super) course: &'a Course,
@@ -59,57 +61,60 @@ pub(super) struct Setup<'a> {
     pub(super) replanning: Option<Replanning>,
     pub(super) laps: u32,
     pub(super) seed: u32,
-    /// The car is steered by the truth, whatever the estimator answers: to see how good the answers are, come what may.
-    pub(super) by_truth: bool,
+    /// Steer by the true poses instead of the estimates, to measure estimates independently of their effect on the drive.
+    pub(super) steer_by_truth: bool,
 }
 
-/// A scan on its way.
-struct Sent {
+/// A scan that is not processed yet.
+struct PendingScan {
+    /// Time of arrival, ms.
     arrival: u64,
     scan: LaserScan,
+    /// True pose and speed, m/s, at the scan's stamp.
     truth: (Pose2, f64),
 }
 
-struct Loop<'a> {
+struct ClosedLoop<'a> {
     setup: &'a Setup<'a>,
     estimator: Estimator,
     follower: Follower,
-    /// The newest scan that has not been taken up.
-    mailbox: Option<Sent>,
+    /// The latest scan that is not processed yet.
+    mailbox: Option<PendingScan>,
     /// Answers that are not ready yet.
-    answers: Vec<Answer>,
-    free: Duration,
-    /// Work on a whole answer without bursts, as a moving mean.
-    whole: Duration,
+    answers: Vec<TimedAnswer>,
+    /// When the estimator can process the next scan.
+    free_at: Duration,
+    /// Moving mean of the work on a complete answer, without bursts.
+    complete_work: Duration,
     step: Option<Step>,
-    /// Of a policy that goes by a table: whether that holds here.
-    watch: Option<Watch>,
-    outside: Option<Outside>,
+    /// For a table policy: monitors whether the conditions are those of the table.
+    watch: Option<ConditionMonitor>,
+    outside: Option<OutOfRange>,
     run: Run,
 }
 
-/// Drives until the laps are done, a wall is hit, or the car has stopped.
+/// Drives until the laps are complete, the car hits a wall, or it has stopped for good.
 pub(super) fn drive(setup: &Setup) -> Result<Run, DriveError> {
     let random = |stream| Pcg64::new(setup.seed.into(), stream);
-    let mut begin = Pcg64::seed_from_u64(setup.seed.into());
-    let part = if setup.course.path.is_closed() { begin.random_range(0.0..1.0) } else { 0.0 };
-    let start = setup.course.start(part);
+    let mut start_random = Pcg64::seed_from_u64(setup.seed.into());
+    let fraction = if setup.course.path.is_closed() { start_random.random_range(0.0..1.0) } else { 0.0 };
+    let start = setup.course.start(fraction);
     let vehicle = VehicleKnobs { speed: setup.follower.speed.max(1.0), ..setup.follower.car() };
     let mut car = Car::new(setup.course.world.as_ref(), &vehicle, start);
     let mut lidar = Lidar::new(&setup.lidar, random(1));
     let mut odometer = Odometer::new(&setup.odometer, start, random(2));
-    let flaws = CarFlaws::draw(&setup.flaws, vehicle.wheelbase, random(4));
-    let mut drive = Loop::new(setup, start)?;
+    let flaws = CarFlaws::sample(&setup.flaws, vehicle.wheelbase, random(4));
+    let mut drive = ClosedLoop::new(setup, start)?;
     let mut truth = Progress::new(setup.course.path.clone(), START);
-    let mut planner = setup.replanning.map(|how| Planner::new(how, &setup.course.path));
+    let mut planner = setup.replanning.map(|replanning| Planner::new(replanning, &setup.course.path));
     match planner.as_mut().and_then(|planner| planner.plan(&start)) {
-        Some(path) => drop(drive.follower.take_path(path, START)),
-        None => drop(drive.follower.take_path(setup.course.path.clone(), START)),
+        Some(path) => drop(drive.follower.follow_path(path, START)),
+        None => drop(drive.follower.follow_path(setup.course.path.clone(), START)),
     }
     let (scan_period, odometry_period) = (period(setup.lidar.rate), period(setup.odometer.rate));
-    let mut acting: Vec<(u64, Command)> = Vec::new();
+    let mut pending_commands: Vec<(u64, Command)> = Vec::new();
     let mut command = Command::default();
-    let mut came_on = (0, 0.0);
+    let mut last_progress = (0, 0.0);
     let goal = f64::from(setup.laps) * setup.course.path.length();
     for now in 0_u64.. {
         let pose = car.map_from_base();
@@ -118,36 +123,36 @@ pub(super) fn drive(setup: &Setup) -> Result<Run, DriveError> {
         }
         if now.is_multiple_of(scan_period) {
             let scan = lidar.scan(|_| setup.course.world.as_ref(), |_| pose, at(now));
-            drive.send(Sent { arrival: now + SCAN_LATENCY, scan, truth: (pose, car.twist().vx) });
+            drive.send(PendingScan { arrival: now + SCAN_LATENCY, scan, truth: (pose, car.twist().vx) });
         }
-        drive.take_up(now, scan_period);
-        drive.deliver(now);
+        drive.process_scan(now, scan_period);
+        drive.deliver_answers(now);
         if let Some((path, planned)) = planner.as_mut().and_then(|planner| planner.tick(now, &pose)) {
             drive.replan(path, at(planned), &pose);
         }
         if now.is_multiple_of(COMMAND_PERIOD) {
-            acting.push((now + delay(&setup.follower), drive.command(now)));
+            pending_commands.push((now + actuation_delay(&setup.follower), drive.command(now)));
         }
-        acting.retain(|&(due, given)| {
+        pending_commands.retain(|&(due, given)| {
             if due <= now {
                 command = given;
             }
             due > now
         });
-        car.step(flaws.done(command), TICK as f64 * 1e-3);
-        if now.is_multiple_of(LOOK_PERIOD) {
-            drive.run.look(now, truth.look(&pose, 0.5), &pose);
+        car.step(flaws.apply(command), TICK as f64 * 1e-3);
+        if now.is_multiple_of(ERROR_PERIOD) {
+            drive.run.record_error(now, truth.update(&pose, 0.5), &pose);
         }
-        let driven = truth.driven();
-        if driven > came_on.1 + ON {
-            came_on = (now, driven);
+        let driven = truth.distance_driven();
+        if driven > last_progress.1 + MIN_PROGRESS {
+            last_progress = (now, driven);
         }
         drive.run.count_laps(now, driven, setup.course.path.length());
-        if let Some(ending) = ending(&car, driven >= goal, drive.step, now - came_on.0) {
+        if let Some(ending) = ending(&car, driven >= goal, drive.step, now - last_progress.0) {
             return Ok(drive.end(ending, now, driven));
         }
     }
-    unreachable!("a car stops some time")
+    unreachable!("every drive ends")
 }
 
 fn ending(car: &Car, is_done: bool, step: Option<Step>, idle: u64) -> Option<Ending> {
@@ -155,28 +160,29 @@ fn ending(car: &Car, is_done: bool, step: Option<Step>, idle: u64) -> Option<End
         return Some(Ending::Hit);
     }
     let arrived = step.is_some_and(|step| step.stop == Some(crate::control::safety::StopReason::Arrived));
-    if is_done || (arrived && car.twist().vx.abs() < ON) {
+    if is_done || (arrived && car.twist().vx.abs() < ARRIVED_SPEED) {
         return Some(Ending::Finished);
     }
-    (idle > STUCK).then_some(Ending::Stopped)
+    (idle > STUCK_TIME).then_some(Ending::Stopped)
 }
 
 fn at(milliseconds: u64) -> Stamp {
     START.offset_by(milliseconds as f64 * 1e-3)
 }
 
-/// In whole ms.
-#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // knobs have their ranges
+/// Period of a rate in Hz, in whole ms.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // the ranges of the knobs keep it small and positive
 fn period(rate: f64) -> u64 {
     (1000.0 / rate).round().max(1.0) as u64
 }
 
-#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
-fn delay(knobs: &FollowerKnobs) -> u64 {
+/// Actuation delay in whole ms.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // as for `period`
+fn actuation_delay(knobs: &FollowerKnobs) -> u64 {
     (1000.0 * knobs.actuation_delay.0).round() as u64
 }
 
-impl<'a> Loop<'a> {
+impl<'a> ClosedLoop<'a> {
     fn new(setup: &'a Setup<'a>, start: Pose2) -> Result<Self, DriveError> {
         let processor = Arc::new(Processor::new(setup.costs.clone(), setup.load));
         let laser = setup.lidar.laser_in_base;
@@ -187,11 +193,11 @@ impl<'a> Loop<'a> {
             follower: Follower::new(setup.follower.clone()),
             mailbox: None,
             answers: Vec::new(),
-            free: Duration::ZERO,
-            whole: Duration::ZERO,
+            free_at: Duration::ZERO,
+            complete_work: Duration::ZERO,
             step: None,
             watch: match &setup.policy {
-                Policy::Table(table) => Some(Watch::new(table.conditions)),
+                Policy::Table(table) => Some(ConditionMonitor::new(table.conditions)),
                 _ => None,
             },
             outside: None,
@@ -199,25 +205,25 @@ impl<'a> Loop<'a> {
         })
     }
 
-    fn send(&mut self, sent: Sent) {
-        self.run.dropped += u64::from(self.mailbox.replace(sent).is_some());
+    fn send(&mut self, pending: PendingScan) {
+        self.run.dropped += u64::from(self.mailbox.replace(pending).is_some());
     }
 
-    /// A scan that has arrived is taken up when nothing else is worked on.
-    fn take_up(&mut self, now: u64, scan_period: u64) {
+    /// Processes the latest scan if it has arrived and the estimator is idle.
+    fn process_scan(&mut self, now: u64, scan_period: u64) {
         let time = Duration::from_millis(now);
-        if self.free > time {
+        if self.free_at > time {
             return;
         }
-        let Some(Sent { arrival, scan, truth }) = self.mailbox.take_if(|sent| sent.arrival <= now) else { return };
+        let Some(PendingScan { arrival, scan, truth }) = self.mailbox.take_if(|pending| pending.arrival <= now) else { return };
         let times =
             Times { arrival: Duration::from_millis(arrival), begin: time, next: Duration::from_millis(arrival + scan_period) };
         let terms = self.setup.policy.terms(&self.situation(time, scan_period));
         let answer = self.estimator.answer(&scan, times, terms, truth);
-        self.free = answer.free;
-        if answer.is_whole {
-            let rest = if self.whole.is_zero() { 1.0 } else { SMOOTHING };
-            self.whole = self.whole.mul_f64(1.0 - rest) + answer.work.mul_f64(rest);
+        self.free_at = answer.free_at;
+        if answer.is_complete {
+            let weight = if self.complete_work.is_zero() { 1.0 } else { SMOOTHING };
+            self.complete_work = self.complete_work.mul_f64(1.0 - weight) + answer.work.mul_f64(weight);
         }
         self.run.add_answer(&answer, times, &truth.0);
         if let (Some(watch), Some(conditions)) = (&mut self.watch, &answer.conditions) {
@@ -226,33 +232,34 @@ impl<'a> Loop<'a> {
         if let Some(outside) = self.outside {
             self.run.add_outside(outside);
         }
-        self.answers.push(if self.setup.by_truth { of_truth(&scan, times, truth) } else { answer });
+        self.answers.push(if self.setup.steer_by_truth { true_answer(&scan, times, truth) } else { answer });
     }
 
     fn situation(&self, time: Duration, scan_period: u64) -> Situation {
         let speed = self.step.map_or(0.0, |step| step.command.speed);
         let lookahead = self.setup.follower.lookahead(speed);
-        let along = self.step.and_then(|step| step.place).map_or(0.0, |place| place.along);
-        let room = self.setup.course.clearance(along, lookahead) - 0.5 * self.setup.follower.width;
-        let turn = if self.setup.follower.compensate_delay { 0.0 } else { speed * self.setup.course.curvature(along, lookahead) };
+        let along = self.step.and_then(|step| step.projection).map_or(0.0, |projection| projection.along);
+        let clearance = self.setup.course.clearance(along, lookahead) - 0.5 * self.setup.follower.width;
+        let uncompensated_yaw_rate =
+            if self.setup.follower.compensate_delay { 0.0 } else { speed * self.setup.course.curvature(along, lookahead) };
         let period = Duration::from_millis(scan_period);
-        let whole = self.setup.load.done(time, self.whole).saturating_sub(time);
+        let full_answer_time = self.setup.load.finish_time(time, self.complete_work).saturating_sub(time);
         Situation {
             speed,
             lookahead,
-            clearance: room,
-            uncompensated_turn: turn,
+            clearance,
+            uncompensated_yaw_rate,
             period,
-            is_familiar: self.outside.is_none(),
-            whole,
+            is_profile_valid: self.outside.is_none(),
+            full_answer_time,
         }
     }
 
-    fn deliver(&mut self, now: u64) {
+    fn deliver_answers(&mut self, now: u64) {
         let time = Duration::from_millis(now);
         let follower = &mut self.follower;
         self.answers.retain(|answer| {
-            let is_ready = answer.ready <= time;
+            let is_ready = answer.ready_at <= time;
             if is_ready {
                 follower.on_pose(answer.reading);
             }
@@ -261,13 +268,13 @@ impl<'a> Loop<'a> {
     }
 
     fn replan(&mut self, path: crate::control::path::Path, planned: Stamp, pose: &Pose2) {
-        let line = |follower: &Follower| {
+        let lateral_error = |follower: &Follower| {
             let progress = follower.progress()?;
             Some(progress.path().project(pose, 0.0, progress.path().length())?.lateral_error)
         };
-        let before = line(&self.follower);
-        let arrival = self.follower.take_path(path, planned);
-        self.run.step_aside = self.run.step_aside.max(step_aside(before, arrival, line(&self.follower)));
+        let before = lateral_error(&self.follower);
+        let update = self.follower.follow_path(path, planned);
+        self.run.line_jump = self.run.line_jump.max(line_jump(before, update, lateral_error(&self.follower)));
     }
 
     fn command(&mut self, now: u64) -> Command {
@@ -285,13 +292,13 @@ impl<'a> Loop<'a> {
     }
 }
 
-/// Where the car was, for a picture.
 impl Run {
-    fn look(&mut self, now: u64, place: Option<crate::control::path::Projection>, pose: &Pose2) {
-        let Some(place) = place else { return };
-        self.add_error(place.distance);
-        if now.is_multiple_of(5 * LOOK_PERIOD) {
-            self.trace.push(Trace { point: Point::new(pose.x, pose.y), error: place.distance });
+    /// Records the true tracking error and, at a fifth of the rate, the car's position for the pictures.
+    fn record_error(&mut self, now: u64, projection: Option<crate::control::path::Projection>, pose: &Pose2) {
+        let Some(projection) = projection else { return };
+        self.add_error(projection.distance);
+        if now.is_multiple_of(5 * ERROR_PERIOD) {
+            self.trace.push(Trace { point: Point::new(pose.x, pose.y), error: projection.distance });
         }
     }
 }

@@ -1,17 +1,17 @@
-//! What says where the car is: the application of the nodes, on a modelled processor.
+//! The pose estimator of the closed loop: the application code of the nodes, on a simulated processor.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use super::course::Course;
-use super::processor::{At, Processor};
+use super::processor::{InterruptAt, Processor};
 use super::{DriveError, EstimatorKind};
 use crate::anytime::ErrorEstimate;
 use crate::anytime::clock::Clock;
-use crate::anytime::interrupt::Never;
+use crate::anytime::interrupt::NeverInterrupt;
 use crate::anytime::mode::Conditions;
 use crate::app::localizer::Localizer;
-use crate::app::{Answering as _, App};
+use crate::app::{App, ScanProcessor as _};
 use crate::config::Config;
 use crate::control::follower::PoseReading;
 use crate::control::policy::Terms;
@@ -23,27 +23,27 @@ use crate::messages::sensor_msgs::LaserScan;
 use crate::simulation::drive::{START, mount_message};
 use crate::time::Stamp;
 
-/// An answer, and when it comes.
+/// An answer of the estimator, and its timing.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Answer {
+pub(super) struct TimedAnswer {
     pub(super) reading: PoseReading,
-    /// When it is there, from the start.
-    pub(super) ready: Duration,
-    /// When the estimator takes up another scan.
-    pub(super) free: Duration,
-    /// Later than its contract.
+    /// When the answer is available, since the start.
+    pub(super) ready_at: Duration,
+    /// When the estimator can process the next scan, since the start.
+    pub(super) free_at: Duration,
+    /// Whether the answer overran its contract.
     pub(super) is_late: bool,
-    /// Whether it is a match, or a belief; else a prediction.
+    /// Whether the pose comes from a match or a filter update, not only from a prediction.
     pub(super) is_ok: bool,
-    /// Whether it was the whole answer: nothing ended the work on it early.
-    pub(super) is_whole: bool,
-    /// What it found; `None`: it tells nothing.
+    /// Whether the work ran to completion: no contract or interrupt ended it early.
+    pub(super) is_complete: bool,
+    /// Conditions of the answer, if the estimator reports them.
     pub(super) conditions: Option<Conditions>,
-    /// Processor time that it took.
+    /// Processor time spent on the answer.
     pub(super) work: Duration,
 }
 
-/// When a scan came, was taken up, and the next one comes, from the start.
+/// Arrival of a scan, start of its processing, and arrival of the next scan, since the start.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Times {
     pub(super) arrival: Duration,
@@ -64,7 +64,7 @@ enum Kind {
 }
 
 impl Estimator {
-    /// Of a car that stands at `start`, warmed up on the quiet machine.
+    /// An estimator for a car at rest at `start`, warmed up without load bursts.
     pub(super) fn new(
         kind: EstimatorKind,
         course: &Course,
@@ -83,7 +83,7 @@ impl Estimator {
             EstimatorKind::ScanMatcher => {
                 let mut app = App::new(&config, clock)?;
                 app.warm_up()?;
-                let _ = app.on_transforms(&mount); // of the simulator: never refused
+                let _ = app.on_transforms(&mount); // messages of the simulator are always valid
                 Kind::ScanMatcher(Box::new(app))
             }
             EstimatorKind::ParticleFilter => {
@@ -100,7 +100,7 @@ impl Estimator {
     }
 
     pub(super) fn on_odometry(&mut self, message: &Odometry) {
-        // What the simulator says is never refused.
+        // Messages of the simulator are always valid.
         let _ = match &mut self.kind {
             Kind::Truth => Ok(()),
             Kind::ScanMatcher(app) => app.on_odometry(message),
@@ -108,58 +108,58 @@ impl Estimator {
         };
     }
 
-    /// The answer to a scan. `truth`: where the car was, and how fast.
-    pub(super) fn answer(&mut self, scan: &LaserScan, times: Times, terms: Terms, truth: (Pose2, f64)) -> Answer {
+    /// The answer to a scan. `truth`: true pose and speed of the car.
+    pub(super) fn answer(&mut self, scan: &LaserScan, times: Times, terms: Terms, truth: (Pose2, f64)) -> TimedAnswer {
         self.processor.set(times.begin);
-        let before = self.processor.worked();
+        let before = self.processor.busy_time();
         let mut answer = match &mut self.kind {
-            Kind::Truth => of_truth(scan, times, truth),
+            Kind::Truth => true_answer(scan, times, truth),
             Kind::ScanMatcher(app) => {
                 app.set_max_iterations(terms.max_iterations.unwrap_or(self.max_iterations));
                 app.set_contract(terms.contract);
-                of_matcher(app, scan, times, &self.processor)
+                matcher_answer(app, scan, times, &self.processor)
             }
             Kind::ParticleFilter(localizer) => {
                 localizer.set_contract(terms.contract);
-                of_filter(localizer, scan, times, &self.processor)
+                filter_answer(localizer, scan, times, &self.processor)
             }
         };
-        answer.free = self.processor.now();
-        answer.work = self.processor.worked().saturating_sub(before);
+        answer.free_at = self.processor.now();
+        answer.work = self.processor.busy_time().saturating_sub(before);
         answer
     }
 }
 
-/// What the simulator knows, at once.
-pub(super) fn of_truth(scan: &LaserScan, times: Times, (pose, speed): (Pose2, f64)) -> Answer {
+/// The true pose, without delay.
+pub(super) fn true_answer(scan: &LaserScan, times: Times, (pose, speed): (Pose2, f64)) -> TimedAnswer {
     let reading = PoseReading { stamp: scan.header.stamp.into(), pose, speed: Some(speed), deviation: 0.0 };
-    answer(reading, times.begin, true)
+    new_answer(reading, times.begin, true)
 }
 
-fn of_matcher(app: &mut App, scan: &LaserScan, times: Times, processor: &Arc<Processor>) -> Answer {
+fn matcher_answer(app: &mut App, scan: &LaserScan, times: Times, processor: &Arc<Processor>) -> TimedAnswer {
     let mut estimate = app.on_scan(scan, times.arrival);
     app.conclude(&mut estimate);
-    let ready = processor.now();
+    let ready_at = processor.now();
     let registration = &estimate.registration;
     let reading = PoseReading {
         stamp: Stamp::from(scan.header.stamp),
         pose: registration.map_from_base(),
         speed: Some(registration.twist.vx),
-        // It grows along the way, whatever loops are closed: it says nothing of the pose on the map.
+        // The odometry covariance grows with distance even after loop closures: it is not the uncertainty of the pose on the map.
         deviation: 0.0,
     };
     let stop = registration.refinement.map(|report| report.stop_reason);
-    let mut answer = answer(reading, ready, registration.outcome.is_ok());
+    let mut answer = new_answer(reading, ready_at, registration.outcome.is_ok());
     answer.conditions = estimate.conditions();
-    (answer.is_late, answer.is_whole) = (!estimate.overrun().is_zero(), is_whole(stop));
-    app.maintain(&At { processor: Arc::clone(processor), time: times.next });
+    (answer.is_late, answer.is_complete) = (!estimate.overrun().is_zero(), is_complete(stop));
+    app.maintain(&InterruptAt { processor: Arc::clone(processor), time: times.next });
     answer
 }
 
-fn of_filter(localizer: &mut Localizer, scan: &LaserScan, times: Times, processor: &Arc<Processor>) -> Answer {
-    let mut fix = localizer.on_scan(scan, times.arrival, &Never);
+fn filter_answer(localizer: &mut Localizer, scan: &LaserScan, times: Times, processor: &Arc<Processor>) -> TimedAnswer {
+    let mut fix = localizer.on_scan(scan, times.arrival, &NeverInterrupt);
     localizer.conclude(&mut fix);
-    let ready = processor.now();
+    let ready_at = processor.now();
     let pose = fix
         .belief
         .as_ref()
@@ -167,17 +167,26 @@ fn of_filter(localizer: &mut Localizer, scan: &LaserScan, times: Times, processo
         .map(|belief| (belief.map_from_base, ErrorEstimate::of_covariance(&belief.covariance).translation));
     let (pose, deviation) = pose.unwrap_or((Pose2::IDENTITY, f64::INFINITY));
     let reading = PoseReading { stamp: fix.stamp, pose, speed: Some(localizer.twist().vx), deviation };
-    let mut answer = answer(reading, ready, fix.belief.is_ok());
+    let mut answer = new_answer(reading, ready_at, fix.belief.is_ok());
     answer.conditions = fix.belief.as_ref().ok().map(Belief::conditions);
-    (answer.is_late, answer.is_whole) = (!fix.overrun().is_zero(), is_whole(fix.stop_reason));
-    localizer.maintain(&At { processor: Arc::clone(processor), time: times.next });
+    (answer.is_late, answer.is_complete) = (!fix.overrun().is_zero(), is_complete(fix.stop_reason));
+    localizer.maintain(&InterruptAt { processor: Arc::clone(processor), time: times.next });
     answer
 }
 
-fn is_whole(stop: Option<StopReason>) -> bool {
+fn is_complete(stop: Option<StopReason>) -> bool {
     stop.is_some_and(|reason| !matches!(reason, StopReason::Budget | StopReason::ErrorBound | StopReason::Interrupted))
 }
 
-fn answer(reading: PoseReading, ready: Duration, is_ok: bool) -> Answer {
-    Answer { reading, ready, free: ready, is_late: false, is_ok, is_whole: true, conditions: None, work: Duration::ZERO }
+fn new_answer(reading: PoseReading, ready_at: Duration, is_ok: bool) -> TimedAnswer {
+    TimedAnswer {
+        reading,
+        ready_at,
+        free_at: ready_at,
+        is_late: false,
+        is_ok,
+        is_complete: true,
+        conditions: None,
+        work: Duration::ZERO,
+    }
 }

@@ -1,12 +1,12 @@
-//! What came of drives.
+//! Results of drives.
 
 use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use super::estimator::{Answer, Times};
+use super::estimator::{TimedAnswer, Times};
 use crate::anytime::ErrorEstimate;
-use crate::anytime::mode::{Conditions, Outside, Ranges};
+use crate::anytime::mode::{ConditionRanges, Conditions, OutOfRange};
 use crate::control::follower::Step;
 use crate::evaluation::statistics::Statistics;
 use crate::geometry::{Point, Pose2};
@@ -15,11 +15,11 @@ use crate::quantile::quantile;
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// All laps are done.
+    /// All laps are complete.
     Finished,
-    /// At a wall.
+    /// The car hit a wall.
     Hit,
-    /// The car has stopped, and does not go on.
+    /// The car stopped for good.
     Stopped,
 }
 
@@ -33,63 +33,63 @@ impl Ending {
     }
 }
 
-/// A place of the car and its distance from the path.
+/// A position of the car and its distance from the path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trace {
-    /// m.
+    /// Position of the rear axle, m.
     pub point: Point,
-    /// m.
+    /// Distance from the path, m.
     pub error: f64,
 }
 
-/// One drive.
+/// Results of one drive.
 #[derive(Clone, Debug)]
 pub struct Run {
-    /// Its seed.
+    /// Seed of the drive.
     pub seed: u32,
-    /// How it ended.
+    /// How the drive ended.
     pub ending: Ending,
-    /// Laps, with fractions.
+    /// Laps driven, including a fraction of the last one.
     pub laps: f64,
-    /// How long it took, s.
+    /// Duration of the drive, s.
     pub seconds: f64,
-    /// The way of the car.
+    /// The path of the car.
     pub trace: Vec<Trace>,
     /// True distances from the path, m, every 10 ms.
     errors: Vec<f64>,
-    /// When each lap was done, s.
+    /// Time at the end of each lap, s.
     lap_ends: Vec<f64>,
-    /// Ages of the poses when the commands act, s.
+    /// Age of the pose when each command takes effect, s.
     ages: Vec<f64>,
-    /// Answers.
+    /// Number of answers.
     pub answers: u64,
-    /// Of these, later than their contract.
+    /// Number of answers that overran their contract.
     pub late: u64,
-    /// Of these, later than the next scan.
+    /// Number of answers that came after the next scan.
     pub overdue: u64,
-    /// Of these, predictions.
+    /// Number of answers that are only predictions.
     pub failed: u64,
-    /// Scans that were not taken up: a newer one was there.
+    /// Number of scans that were dropped because a newer one arrived.
     pub dropped: u64,
     /// Processor time of the estimator.
     pub work: Duration,
-    /// Commands to brake or stand.
+    /// Number of commands that braked the car or held it.
     pub stops: u64,
-    /// The first reason for one.
+    /// Reason of the first such command.
     pub first_stop: Option<String>,
-    /// The largest step of the followed line when a path came, m.
-    pub step_aside: f64,
-    /// What the answers found.
+    /// Largest lateral jump of the followed line when a new path arrived, m.
+    pub line_jump: f64,
+    /// Conditions of the answers.
     conditions: Vec<Conditions>,
-    /// Answers in other conditions than the table's, and what was first other there.
+    /// Number of answers under conditions outside those of the policy's table.
     pub outside: u64,
-    /// The first.
-    pub first_outside: Option<Outside>,
+    /// The first such deviation.
+    pub first_outside: Option<OutOfRange>,
     poses: u64,
     squared_pose_errors: f64,
     worst_pose_error: f64,
-    /// Sums of squares of what a controller notices of them: across the direction of travel, m^2, and of the heading, rad^2.
-    squared_noticed: [f64; 2],
+    /// Sums of the squared pose errors that affect the controller: lateral, m^2, and heading, rad^2.
+    squared_lateral_and_heading: [f64; 2],
 }
 
 impl Run {
@@ -111,47 +111,47 @@ impl Run {
             work: Duration::ZERO,
             stops: 0,
             first_stop: None,
-            step_aside: 0.0,
+            line_jump: 0.0,
             conditions: Vec::new(),
             outside: 0,
             first_outside: None,
             poses: 0,
             squared_pose_errors: 0.0,
             worst_pose_error: 0.0,
-            squared_noticed: [0.0; 2],
+            squared_lateral_and_heading: [0.0; 2],
         }
     }
 
-    /// Whether all laps were done.
+    /// Whether all laps were completed.
     pub fn is_finished(&self) -> bool {
         self.ending == Ending::Finished
     }
 
-    /// How it ended, in a word.
+    /// How the drive ended, as a word.
     pub fn ending_name(&self) -> &'static str {
         self.ending.name()
     }
 
-    /// Keeps what sums it up, and its way if asked to.
-    pub(super) fn forget_details(&mut self, keep_trace: bool) {
+    /// Drops the details that the summary does not need, and the trace unless `keep_trace`.
+    pub(super) fn drop_details(&mut self, keep_trace: bool) {
         (self.errors, self.ages, self.conditions) = (Vec::new(), Vec::new(), Vec::new());
         if !keep_trace {
             self.trace = Vec::new();
         }
     }
 
-    /// RMS errors of the poses: across the direction of travel, and of the heading.
-    pub(super) fn noticed_error(&self) -> ErrorEstimate {
-        let [translation, rotation] = self.squared_noticed.map(|sum| (sum / self.poses.max(1) as f64).sqrt());
+    /// RMS lateral and heading errors of the poses.
+    pub(super) fn lateral_and_heading_error(&self) -> ErrorEstimate {
+        let [translation, rotation] = self.squared_lateral_and_heading.map(|sum| (sum / self.poses.max(1) as f64).sqrt());
         ErrorEstimate { translation, rotation }
     }
 
-    /// The conditions of nearly all answers.
-    pub(super) fn conditions(&self) -> Ranges {
-        Ranges::of(self.conditions.iter().copied())
+    /// Ranges of the conditions of nearly all answers.
+    pub(super) fn conditions(&self) -> ConditionRanges {
+        ConditionRanges::of(self.conditions.iter().copied())
     }
 
-    pub(super) fn add_outside(&mut self, outside: Outside) {
+    pub(super) fn add_outside(&mut self, outside: OutOfRange) {
         self.outside += 1;
         self.first_outside.get_or_insert(outside);
     }
@@ -160,25 +160,25 @@ impl Run {
         self.errors.push(error);
     }
 
-    pub(super) fn add_answer(&mut self, answer: &Answer, times: Times, truth: &Pose2) {
-        // A filter that knows nothing gives no pose.
+    pub(super) fn add_answer(&mut self, answer: &TimedAnswer, times: Times, truth: &Pose2) {
+        // A filter without a belief gives no pose: its deviation is infinite.
         if answer.reading.deviation.is_finite() {
             self.poses += 1;
-            let off = truth.between(&answer.reading.pose);
-            self.squared_pose_errors += off.distance().powi(2);
-            self.worst_pose_error = self.worst_pose_error.max(off.distance());
-            self.squared_noticed[0] += off.y.powi(2);
-            self.squared_noticed[1] += off.theta.powi(2);
+            let error = truth.between(&answer.reading.pose);
+            self.squared_pose_errors += error.distance().powi(2);
+            self.worst_pose_error = self.worst_pose_error.max(error.distance());
+            self.squared_lateral_and_heading[0] += error.y.powi(2);
+            self.squared_lateral_and_heading[1] += error.theta.powi(2);
         }
         self.answers += 1;
         self.late += u64::from(answer.is_late);
-        self.overdue += u64::from(answer.ready > times.next);
+        self.overdue += u64::from(answer.ready_at > times.next);
         self.failed += u64::from(!answer.is_ok);
         self.conditions.extend(answer.conditions);
         self.work += answer.work;
     }
 
-    /// Before the first pose there is nothing to be done but to stand.
+    /// Commands before the first pose do not count: the car can only wait.
     pub(super) fn add_step(&mut self, step: &Step) {
         let Some(age) = step.pose_age else { return };
         self.ages.push(age);
@@ -195,49 +195,50 @@ impl Run {
     }
 }
 
-/// All drives of a case.
+/// Statistics over all drives of a case.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Figures {
-    /// Drives.
+    /// Number of drives.
     pub runs: usize,
-    /// Those that finished.
+    /// Number of drives that finished.
     pub finished: usize,
-    /// Those that ended at a wall.
+    /// Number of drives that hit a wall.
     pub hits: usize,
-    /// Laps of all, with fractions.
+    /// Laps of all drives, including fractions.
     pub laps: f64,
-    /// True distance from the path, m: mean, RMS, 99.9 % and most.
+    /// True distance from the path, m: mean, RMS, 99.9th percentile and maximum.
     pub lateral: [f64; 4],
-    /// Distance of the poses from the truth at their stamps, m: RMS and most. The rest of the lateral error is the follower's, and of delays.
+    /// Position error of the poses at their stamps, m: RMS and maximum. The rest of the lateral error is due to the follower and
+    /// to delays.
     pub pose: [f64; 2],
-    /// Mean time of a lap from the second on, else of the first, s.
+    /// Mean lap time without the first lap, s; of the first lap if there is no other.
     pub lap_time: f64,
-    /// Part of the answers that were later than their contract.
+    /// Fraction of the answers that overran their contract.
     pub late: f64,
-    /// Part of the answers that came after the next scan.
+    /// Fraction of the answers that came after the next scan.
     pub overdue: f64,
-    /// Part of the answers that were predictions.
+    /// Fraction of the answers that were only predictions.
     pub failed: f64,
-    /// Part of the scans that were not taken up.
+    /// Fraction of the scans that were dropped.
     pub dropped: f64,
-    /// Age of the poses when commands act, s: mean and 99 %.
+    /// Age of the pose when a command takes effect, s: mean and 99th percentile.
     pub age: [f64; 2],
-    /// Processor time of the estimator for a lap, s.
+    /// Processor time of the estimator per lap, s.
     pub work_per_lap: f64,
-    /// Part of the commands that braked or stood.
+    /// Fraction of the commands that braked the car or held it.
     pub stopped: f64,
-    /// The first reason for one.
+    /// Reason of the first such command.
     pub first_stop: Option<String>,
-    /// The largest step of the followed line when a path came, m.
-    pub step_aside: f64,
-    /// Part of the answers in other conditions than the table's.
+    /// Largest lateral jump of the followed line when a new path arrived, m.
+    pub line_jump: f64,
+    /// Fraction of the answers under conditions outside those of the policy's table.
     pub outside: f64,
-    /// What was first other there.
+    /// The first such deviation, as text.
     pub first_outside: Option<String>,
 }
 
 impl Figures {
-    /// Of some drives.
+    /// Statistics of some drives.
     pub fn of(runs: &[Run]) -> Self {
         let sum = |count: fn(&Run) -> u64| runs.iter().map(count).sum::<u64>() as f64;
         let (answers, dropped) = (sum(|run| run.answers).max(1.0), sum(|run| run.dropped));
@@ -257,17 +258,17 @@ impl Figures {
             overdue: sum(|run| run.overdue) / answers,
             failed: sum(|run| run.failed) / answers,
             dropped: dropped / (answers + dropped),
-            age: [mean(ages.clone()), at_share(ages, 0.99)],
+            age: [mean(ages.clone()), percentile(ages, 0.99)],
             work_per_lap: work / laps.max(1e-9),
             stopped: sum(|run| run.stops) / commands,
             first_stop: runs.iter().find_map(|run| run.first_stop.clone()),
-            step_aside: runs.iter().map(|run| run.step_aside).fold(0.0, f64::max),
+            line_jump: runs.iter().map(|run| run.line_jump).fold(0.0, f64::max),
             outside: sum(|run| run.outside) / answers,
             first_outside: runs.iter().find_map(|run| run.first_outside).map(|outside| outside.to_string()),
         }
     }
 
-    /// For machines.
+    /// The statistics as JSON.
     pub fn to_json(&self) -> Value {
         json!({
             "runs": self.runs,
@@ -287,28 +288,28 @@ impl Figures {
             "processor_s_per_lap": self.work_per_lap,
             "stopped": self.stopped,
             "first_stop": self.first_stop,
-            "path_step_m": self.step_aside,
+            "path_step_m": self.line_jump,
             "outside_profile": self.outside,
             "first_outside_profile": self.first_outside,
         })
     }
 }
 
-/// For machines: how each ended.
+/// How each drive ended, as JSON.
 pub(super) fn endings(runs: &[Run]) -> Value {
     runs.iter()
         .map(|run| json!({"seed": run.seed, "ending": run.ending.name(), "laps": run.laps, "seconds": run.seconds}))
         .collect()
 }
 
-/// The least value that so large a share does not exceed.
-fn at_share(mut values: Vec<f64>, share: f64) -> f64 {
-    quantile(&mut values, share, f64::total_cmp).unwrap_or_default()
+/// The value that a fraction of the values does not exceed; 0 without values.
+fn percentile(mut values: Vec<f64>, fraction: f64) -> f64 {
+    quantile(&mut values, fraction, f64::total_cmp).unwrap_or_default()
 }
 
 fn lateral(errors: Vec<f64>) -> [f64; 4] {
     let Some(Statistics { mean, rmse, max, .. }) = Statistics::of(errors.clone()) else { return [0.0; 4] };
-    [mean, rmse, at_share(errors, 0.999), max]
+    [mean, rmse, percentile(errors, 0.999), max]
 }
 
 fn mean(values: Vec<f64>) -> f64 {
@@ -322,9 +323,9 @@ fn pose_errors(runs: &[Run]) -> [f64; 2] {
 }
 
 fn lap_time(runs: &[Run]) -> f64 {
-    let flying: Vec<f64> = runs.iter().flat_map(|run| run.lap_ends.windows(2).map(|ends| ends[1] - ends[0])).collect();
+    let later: Vec<f64> = runs.iter().flat_map(|run| run.lap_ends.windows(2).map(|ends| ends[1] - ends[0])).collect();
     let first: Vec<f64> = runs.iter().filter_map(|run| run.lap_ends.first().copied()).collect();
-    mean(if flying.is_empty() { first } else { flying })
+    mean(if later.is_empty() { first } else { later })
 }
 
 #[cfg(test)]
@@ -332,7 +333,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_are_those_of_all_runs_together() {
+    fn figures_combine_all_runs() {
         let run = |seed: u32, errors: &[f64], ending: Ending| Run {
             errors: errors.to_vec(),
             ending,

@@ -1,13 +1,14 @@
-//! The closed loop, offline: simulator, estimator and follower in one process, on a clock that is modelled.
+//! Closed-loop simulation: simulator, pose estimator and path follower in one process, on a simulated clock.
 //!
 //! ```text
-//!  car ──► lidar, odometer ──► estimator ──► answer, late by what it costs ──► follower ──► command, late by the actuator ──► car
-//!                                 ▲ terms                                          │
-//!                                 └───────────── policy ◄── situation ─────────────┘
+//!  car ──► lidar, odometer ──► estimator ──► answer, delayed by its cost ──► follower ──► command, delayed by the actuator ──► car
+//!                                  ▲ terms                                      │
+//!                                  └─────────── policy ◄── situation ───────────┘
 //! ```
 //!
-//! Every answer takes effect when it would have been ready: the work done for it, at what it costs on a machine (`costs`), on a
-//! [`processor`] that other programs load. So a run is the same to the last bit on any machine, and faster than real time.
+//! Every answer becomes available when it would have been ready on a real machine: each piece of work takes its typical time
+//! (`costs`) on a simulated [`processor`] that other programs load. A run is therefore bitwise reproducible on any machine, and
+//! faster than real time.
 
 mod closed_loop;
 mod costs;
@@ -40,64 +41,64 @@ use crate::io::profile_file::ProfileFileError;
 use crate::simulation::planner::NoLoop;
 
 choices! {
-    /// Where the follower's poses come from.
+    /// The source of the follower's poses.
     pub enum EstimatorKind {
-        /// The simulator.
+        /// The true poses of the simulator.
         Truth = "truth",
-        /// Laser odometry.
+        /// Laser odometry by scan matching.
         ScanMatcher = "scan_matcher",
-        /// The particle filter.
+        /// The particle filter on a map.
         ParticleFilter = "particle_filter",
     }
 }
 
-/// Why there is no drive.
+/// Why a drive is not possible.
 #[derive(Debug, Error)]
 pub enum DriveError {
     /// The world cannot be read.
     #[error(transparent)]
     Map(#[from] MapError),
-    /// There is no way round it.
-    #[error("there is no way round this world, --path FILE.csv gives one")]
+    /// There is no loop to drive in the world.
+    #[error("no loop to drive was found in this world; give a path with --path FILE.csv")]
     Route(#[from] NoLoop),
     /// A file cannot be read or written.
     #[error("{}: {problem}", path.display())]
     File {
-        /// Which one.
+        /// The file.
         path: PathBuf,
-        /// The system's reason.
+        /// The operating system's error.
         problem: io::Error,
     },
-    /// The file holds no waypoints.
+    /// The file is not a valid waypoint file.
     #[error("{}: {problem}", path.display())]
     Waypoints {
-        /// Which one.
+        /// The file.
         path: PathBuf,
-        /// The place.
+        /// The invalid line.
         problem: WaypointFileError,
     },
-    /// The waypoints make no path.
+    /// The waypoints form no valid path.
     #[error("{}: {problem}", path.display())]
     Path {
-        /// Which one.
+        /// The file.
         path: PathBuf,
-        /// What is wrong with them.
+        /// What is wrong with the waypoints.
         problem: PathError,
     },
-    /// The path goes where the car does not fit.
-    #[error("the path begins at ({x:.2}, {y:.2}), where the car touches a wall: is the path of this world?")]
+    /// The path starts in or at a wall.
+    #[error("the path begins at ({x:.2}, {y:.2}), where the car touches a wall: does the path belong to this world?")]
     InWall {
-        /// Where, m.
+        /// x of the first point, m.
         x: f64,
-        /// Where, m.
+        /// y of the first point, m.
         y: f64,
     },
-    /// Laps need a closed path.
-    #[error("the path is open, and ends once: give --laps 1, or close it")]
+    /// Several laps need a closed path.
+    #[error("an open path allows only one lap: give --laps 1, or close the path")]
     OpenPath,
-    /// A particle filter without a map.
+    /// The particle filter needs a map.
     #[error(
-        "estimator particle_filter: the world '{0}' has no map; give --world a map's YAML file (maps/corridor.yaml is 'corridor')"
+        "estimator particle_filter: the world '{0}' has no map; give the YAML file of a map to --world (maps/corridor.yaml is the map of 'corridor')"
     )]
     NoMap(String),
     /// The estimator cannot start.
@@ -106,16 +107,16 @@ pub enum DriveError {
     /// The scan matcher cannot start.
     #[error(transparent)]
     Start(#[from] StartError),
-    /// The configured contract is none.
+    /// The configured contract is invalid.
     #[error(transparent)]
     Contract(#[from] ContractError),
     /// The profile cannot be read.
     #[error(transparent)]
     Profile(#[from] ProfileFileError),
-    /// The costs cannot be read.
+    /// The cost file cannot be read.
     #[error(transparent)]
     Costs(#[from] CostFileError),
-    /// A picture cannot be drawn.
+    /// A plot cannot be rendered.
     #[error(transparent)]
     Plot(#[from] PlotError),
 }

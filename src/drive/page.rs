@@ -1,4 +1,4 @@
-//! The report: one page of HTML with everything in it.
+//! The report: a single self-contained HTML page.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -9,15 +9,17 @@ use super::{DriveError, pictures};
 use crate::output;
 use crate::profile::html::{STYLE, escaped, table};
 
-/// Ways of so many cases are drawn at most.
-const MOST_PATHS: usize = 12;
+/// Maximum number of cases whose driven paths are shown.
+const MAX_PATH_PICTURES: usize = 12;
 
-const MEANING: &str = "Errors are distances of the true rear axle from the path. A drive ends at the first touch of a wall, or when the car \
-    has not come on for 10 s. Pose: RMS distance of the poses from the truth at their stamps. Late: answers later than their contract; with no contract, than the next scan. Age: of the pose when the \
-    command acts, mean. cpu/lap: processor time of the estimator, other programs' apart.";
+/// Explains the columns of the table.
+const EXPLANATION: &str = "mean, RMS, p99.9, max: true distance of the rear axle from the path. A drive ends at the first contact with a wall, \
+    or when the car has made no progress for 10 s. pose: RMS position error of the estimated poses at their stamps. late: answers that \
+    overran their contract or, without a contract, came after the next scan. age: mean age of the pose when a command takes effect. \
+    cpu/lap: processor time of the estimator, without that of other programs.";
 
 impl Study<'_> {
-    /// Writes `report.html`, `figures.json` and the pictures.
+    /// Writes `report.html`, `figures.json` and the plots.
     pub fn write(&self, outcomes: &[Outcome], folder: &Path) -> Result<(), DriveError> {
         let file = |name: &str, bytes: &str| {
             let path = folder.join(name);
@@ -28,9 +30,9 @@ impl Study<'_> {
         if self.loads.len() > 1 {
             let svg = pictures::speed_against_load(outcomes)?;
             file("speed_against_load.svg", &svg)?;
-            shown.push(("Highest speed without a crash, against load".to_owned(), svg));
+            shown.push(("Highest speed without a crash, by load".to_owned(), svg));
         }
-        for (number, outcome) in (1..).zip(outcomes).take(MOST_PATHS) {
+        for (number, outcome) in (1..).zip(outcomes).take(MAX_PATH_PICTURES) {
             for run in outcome.runs.iter().filter(|run| !run.trace.is_empty()) {
                 let svg = pictures::path(self.course, run)?;
                 file(&format!("path_{number}_seed_{}.svg", run.seed), &svg)?;
@@ -42,14 +44,14 @@ impl Study<'_> {
     }
 }
 
-/// The page, with pictures and their titles.
+/// Renders the page. `pictures` are (title, SVG) pairs.
 fn report(study: &Study, outcomes: &[Outcome], pictures: &[(String, String)]) -> String {
     let fact = |(name, value): &(&str, String)| format!("<tr><td>{name}</td><td>{}</td></tr>\n", escaped(value));
     let facts = study.facts().iter().map(fact).collect::<Vec<_>>().concat();
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
-         <title>Drives in {0}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>The closed loop: drives in {0}</h1>\n<pre>{1}</pre>\n\
-         <table class=\"facts\">\n{facts}</table>\n<h2>Figures</h2>\n{2}{3}<p>{MEANING}</p>\n",
+         <title>Closed-loop drives in {0}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>Closed-loop drives in {0}</h1>\n<pre>{1}</pre>\n\
+         <table class=\"facts\">\n{facts}</table>\n<h2>Results</h2>\n{2}{3}<p>{EXPLANATION}</p>\n",
         escaped(&study.course.name),
         escaped(&study.command),
         table(&HEADER, outcomes.iter().map(row)),

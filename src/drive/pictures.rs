@@ -1,39 +1,39 @@
-//! Pictures of drives.
+//! Plots of drives.
 
 use super::course::Course;
 use super::figures::{Run, Trace};
 use super::study::{Case, Outcome};
-use crate::evaluation::plot::{Colour, Dash, Look, Mark, Panel, Path, PlotError, Scale, Series, curves, top_view};
+use crate::evaluation::plot::{Colour, Dash, Marker, Panel, Path, PlotError, Scale, Series, Style, curves, top_view};
 
-/// Width of the path as driven, pixels.
+/// Line width of the driven path, pixels.
 const WIDTH: u32 = 4;
-/// By so much what is drawn first is wider than what comes upon it, pixels.
-const WIDER: u32 = 5;
-/// Colours of distances from the path up to, m.
-const CLASSES: [(f64, &str, Colour); 4] = [
-    (0.05, "up to 5 cm off", Colour::Green),
+/// Each curve is wider than the one drawn over it by this much, pixels: equal curves stay visible.
+const WIDTH_STEP: u32 = 5;
+/// Upper limit, m, legend text and colour of each class of distances from the path.
+const ERROR_CLASSES: [(f64, &str, Colour); 4] = [
+    (0.05, "up to 5 cm from the path", Colour::Green),
     (0.10, "up to 10 cm", Colour::Orange),
     (0.25, "up to 25 cm", Colour::Vermilion),
-    (f64::INFINITY, "more", Colour::Purple),
+    (f64::INFINITY, "more than 25 cm", Colour::Purple),
 ];
 
-fn class(trace: &Trace) -> usize {
-    CLASSES.iter().position(|(limit, ..)| trace.error <= *limit).unwrap_or(CLASSES.len() - 1)
+fn error_class(trace: &Trace) -> usize {
+    ERROR_CLASSES.iter().position(|(limit, ..)| trace.error <= *limit).unwrap_or(ERROR_CLASSES.len() - 1)
 }
 
-/// The path of a run, coloured by its distance from the one to follow, between the walls.
+/// Plots the walls and the driven path, coloured by its distance from the path to follow.
 pub(super) fn path(course: &Course, run: &Run) -> Result<String, PlotError> {
     let mut paths: Vec<Path> = Vec::new();
-    for group in run.trace.chunk_by(|a, b| class(a) == class(b)) {
-        let (_, name, colour) = CLASSES[class(&group[0])];
+    for group in run.trace.chunk_by(|a, b| error_class(a) == error_class(b)) {
+        let (_, name, colour) = ERROR_CLASSES[error_class(&group[0])];
         let first = paths.last().and_then(|path| path.points.last().copied());
         let points = first.into_iter().chain(group.iter().map(|trace| trace.point)).collect();
-        paths.push(Path { name: name.into(), look: Look::line(colour, WIDTH), points });
+        paths.push(Path { name: name.into(), style: Style::line(colour, WIDTH), points });
     }
     top_view(paths, course.wall_points(), "walls")
 }
 
-/// The highest speed without a crash against the load, one curve a policy. A speed counts if all slower ones are without a crash, too.
+/// Plots the highest speed without a crash by load, with one curve per policy. A speed counts only if no slower one crashed.
 pub(super) fn speed_against_load(outcomes: &[Outcome]) -> Result<String, PlotError> {
     let mut policies: Vec<String> = Vec::new();
     for outcome in outcomes {
@@ -42,19 +42,22 @@ pub(super) fn speed_against_load(outcomes: &[Outcome]) -> Result<String, PlotErr
             policies.push(name);
         }
     }
-    // Policies that are equally good are all to be seen: what is drawn first is wider.
-    #[allow(clippy::cast_possible_truncation)] // a few
+    // Curves that are drawn first are wider, so that policies with equal results all stay visible.
+    #[allow(clippy::cast_possible_truncation)] // a few policies
     let below = (0..policies.len() as u32).rev();
-    let looks = Colour::CURVES.into_iter().cycle().zip(below).map(|(colour, below)| Look {
-        mark: Mark::Disc,
-        mark_radius: 8 + WIDER * below,
+    let styles = Colour::CURVES.into_iter().cycle().zip(below).map(|(colour, below)| Style {
+        marker: Marker::Disc,
+        marker_radius: 8 + WIDTH_STEP * below,
         dash: Dash::Solid,
-        ..Look::line(colour, WIDTH + WIDER * below)
+        ..Style::line(colour, WIDTH + WIDTH_STEP * below)
     });
-    let series =
-        policies.iter().zip(looks).map(|(name, look)| Series { name: name.clone(), look, points: highest(outcomes, name) });
+    let series = policies.iter().zip(styles).map(|(name, style)| Series {
+        name: name.clone(),
+        style,
+        points: highest_speeds(outcomes, name),
+    });
     curves(&[Panel {
-        x: "load: slow-down of the machine, times that of bursts".into(),
+        x: "load: slowdown of the machine times that of the bursts".into(),
         y: "highest speed without a crash [m/s]".into(),
         scales: (Scale::Logarithmic, Scale::FromZero),
         height: 700,
@@ -62,8 +65,8 @@ pub(super) fn speed_against_load(outcomes: &[Outcome]) -> Result<String, PlotErr
     }])
 }
 
-/// Load and highest safe speed of a policy.
-pub(super) fn highest(outcomes: &[Outcome], policy: &str) -> Vec<(f64, f64)> {
+/// (load, highest speed without a crash) of a policy.
+pub(super) fn highest_speeds(outcomes: &[Outcome], policy: &str) -> Vec<(f64, f64)> {
     let load = |case: &Case| case.load.slowdown * case.load.bursts;
     let mut cases: Vec<&Outcome> = outcomes.iter().filter(|outcome| outcome.case.policy.to_string() == policy).collect();
     cases.sort_by(|a, b| load(&a.case).total_cmp(&load(&b.case)).then(a.case.speed.total_cmp(&b.case.speed)));

@@ -1,4 +1,4 @@
-//! A processor that is but modelled: how long work takes on it, while other programs take it away.
+//! A simulated processor: how long work takes on it while other programs load it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -7,32 +7,32 @@ use crate::anytime::clock::Clock;
 use crate::anytime::cost_model::{CostModel, Phase};
 use crate::anytime::interrupt::Interrupt;
 
-/// Length of a burst.
+/// Duration of a load burst.
 const BURST: Duration = Duration::from_millis(400);
-/// From the beginning of one burst to the next: a third of the time is burst.
+/// Period of the bursts: a third of the time is burst.
 const BURST_PERIOD: Duration = Duration::from_millis(1200);
 
-/// What slows the machine down.
+/// The load of the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Load {
-    /// All work takes so many times as long as the costs say.
+    /// Factor by which all work takes longer than its costs.
     pub slowdown: f64,
-    /// During bursts, 0.4 s in every 1.2 s, it takes so many times as long again; 1: there are none.
+    /// Additional factor during bursts, which last 0.4 s of every 1.2 s; 1: no bursts.
     pub bursts: f64,
 }
 
 impl Load {
-    /// How much slower than without bursts the machine is at a time, and until when.
+    /// The burst factor at a time, and until when it applies.
     fn burst_at(&self, time: Duration) -> (f64, Duration) {
         let (period, burst) = (BURST_PERIOD.as_nanos(), BURST.as_nanos());
         let phase = time.as_nanos() % period;
-        // The first burst comes after the start, when the car drives.
+        // The burst is at the end of each period, so that the first one comes when the car is already driving.
         let (factor, left) = if phase >= period - burst { (self.bursts, period - phase) } else { (1.0, period - burst - phase) };
         (factor, time + Duration::from_nanos(u64::try_from(left).unwrap_or(u64::MAX)))
     }
 
-    /// When work that takes `alone` without bursts, begun at `start`, is done.
-    pub(super) fn done(&self, start: Duration, alone: Duration) -> Duration {
+    /// When work is finished that begins at `start` and takes `alone` without bursts.
+    pub(super) fn finish_time(&self, start: Duration, alone: Duration) -> Duration {
         let (mut now, mut left) = (start, alone.as_secs_f64());
         if self.bursts <= 1.0 {
             return start + alone;
@@ -52,11 +52,11 @@ impl Load {
 #[derive(Debug, Default)]
 struct State {
     now: Duration,
-    worked: Duration,
+    busy: Duration,
     is_quiet: bool,
 }
 
-/// The clock of such a processor: moves on by the work that is done on it, and stands still meanwhile.
+/// Clock of the simulated processor: only reported work advances it.
 #[derive(Debug)]
 pub struct Processor {
     costs: CostModel,
@@ -65,7 +65,7 @@ pub struct Processor {
 }
 
 impl Processor {
-    /// Whose work costs so much.
+    /// A processor with these costs of work under this load.
     pub fn new(costs: CostModel, load: Load) -> Self {
         Self { costs, load, state: Mutex::default() }
     }
@@ -74,19 +74,19 @@ impl Processor {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// It is this time, and the work begins.
+    /// Sets the time at which the next work begins.
     pub fn set(&self, now: Duration) {
         self.state().now = now;
     }
 
-    /// Whether there are no bursts for the present: before the drive.
+    /// Switches bursts off, for the time before the drive, or on again.
     pub fn set_quiet(&self, is_quiet: bool) {
         self.state().is_quiet = is_quiet;
     }
 
-    /// Processor time spent so far, other programs' apart.
-    pub fn worked(&self) -> Duration {
-        self.state().worked
+    /// Processor time spent so far, without that of other programs.
+    pub fn busy_time(&self) -> Duration {
+        self.state().busy
     }
 }
 
@@ -95,24 +95,24 @@ impl Clock for Processor {
         self.state().now
     }
 
-    fn worked(&self, phase: Phase, rays: usize) {
+    fn work_done(&self, phase: Phase, rays: usize) {
         if rays == 0 {
             return;
         }
         let alone = self.costs.typical(phase, rays).mul_f64(self.load.slowdown);
         let mut state = self.state();
-        state.worked += alone;
-        state.now = if state.is_quiet { state.now + alone } else { self.load.done(state.now, alone) };
+        state.busy += alone;
+        state.now = if state.is_quiet { state.now + alone } else { self.load.finish_time(state.now, alone) };
     }
 }
 
-/// Calls for the answer once the processor's clock has come so far.
-pub(super) struct At {
+/// Requests the answer once the processor's clock reaches a time.
+pub(super) struct InterruptAt {
     pub(super) processor: Arc<Processor>,
     pub(super) time: Duration,
 }
 
-impl Interrupt for At {
+impl Interrupt for InterruptAt {
     fn is_requested(&self) -> bool {
         self.processor.now() >= self.time
     }
@@ -127,12 +127,12 @@ mod tests {
     }
 
     #[test]
-    fn work_takes_longer_while_others_take_the_processor() {
+    fn work_takes_longer_during_bursts() {
         let load = Load { slowdown: 2.0, bursts: 10.0 };
-        assert_eq!(load.done(ms(0), ms(30)), ms(30));
-        assert_eq!(load.done(ms(900), ms(3)), ms(930), "within a burst");
-        assert_eq!(load.done(ms(790), ms(12)), ms(820), "half before, half in it");
-        assert_eq!(load.done(ms(1190), ms(3)), ms(1202), "and out of it");
-        assert_eq!(Load { slowdown: 2.0, bursts: 1.0 }.done(ms(900), ms(3)), ms(903));
+        assert_eq!(load.finish_time(ms(0), ms(30)), ms(30));
+        assert_eq!(load.finish_time(ms(900), ms(3)), ms(930), "within a burst");
+        assert_eq!(load.finish_time(ms(790), ms(12)), ms(820), "10 ms before the burst, the other 2 ms within it");
+        assert_eq!(load.finish_time(ms(1190), ms(3)), ms(1202), "beginning in the burst and ending after it");
+        assert_eq!(Load { slowdown: 2.0, bursts: 1.0 }.finish_time(ms(900), ms(3)), ms(903));
     }
 }

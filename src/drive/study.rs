@@ -1,4 +1,4 @@
-//! Many drives: every policy at every speed and load, with as many seeds as asked for.
+//! A study of many drives: every policy at every speed and load, with several seeds.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,6 @@ use super::course::Course;
 use super::figures::{Figures, Run, endings};
 use super::flaws::FlawKnobs;
 use super::processor::Load;
-use super::replanning::Replanning;
 use super::{DriveError, EstimatorKind, costs, profiling};
 use crate::anytime::mode::Mode;
 use crate::config::Config;
@@ -20,68 +19,68 @@ use crate::parallel;
 use crate::simulation::lidar::LidarKnobs;
 use crate::simulation::odometer::OdometerKnobs;
 
-pub use super::replanning::Replanning as Late;
+pub use super::replanning::Replanning;
 
-/// What is varied.
+/// A combination of the varied settings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Case {
     /// How contracts are chosen.
     pub policy: Policy,
     /// Top speed, m/s.
     pub speed: f64,
-    /// What slows the machine down.
+    /// The load of the machine.
     pub load: Load,
 }
 
-/// What came of a case.
+/// Results of a case.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// The case.
     pub case: Case,
-    /// Over all seeds.
+    /// Statistics over all seeds.
     pub figures: Figures,
-    /// Every drive; ways are kept of the first alone, and of the first that did not finish.
+    /// All drives. Traces are kept only of the first drive and of the first one that did not finish.
     pub runs: Vec<Run>,
 }
 
-/// What is driven.
+/// Settings of a study.
 pub struct Study<'a> {
-    /// Where.
+    /// Where to drive.
     pub course: &'a Course,
-    /// By whose poses.
+    /// Source of the poses.
     pub estimator: EstimatorKind,
-    /// Of the estimator.
+    /// Configuration of the estimator.
     pub config: &'a Config,
-    /// Of the follower; its speed is that of the case.
+    /// Parameters of the follower; each case overrides the speed.
     pub follower: FollowerKnobs,
-    /// Of the laser.
+    /// Parameters of the laser.
     pub lidar: LidarKnobs,
-    /// Of the odometry.
+    /// Parameters of the wheel odometry.
     pub odometer: OdometerKnobs,
-    /// Of the car.
+    /// Model errors of the car.
     pub flaws: FlawKnobs,
-    /// The costs of the machine; `None`: as built in.
+    /// File with the costs of the machine; `None`: built-in costs.
     pub costs: Option<PathBuf>,
-    /// Paths that come late; `None`: the path is there from the start.
+    /// Planner with delayed paths; `None`: the path is known from the start.
     pub replanning: Option<Replanning>,
-    /// Laps of a drive.
+    /// Laps per drive.
     pub laps: u32,
-    /// Drives of a case.
+    /// Drives per case.
     pub seeds: u32,
-    /// The seed of the first of them; each of the others has the next one.
+    /// Seed of the first drive of a case; each further drive adds 1.
     pub first_seed: u32,
-    /// All policies, all speeds, all loads.
+    /// Policies to compare.
     pub policies: Vec<Policy>,
-    /// m/s.
+    /// Top speeds, m/s.
     pub speeds: Vec<f64>,
-    /// Slow-downs and bursts.
+    /// Loads of the machine.
     pub loads: Vec<Load>,
-    /// What was typed.
+    /// The command line.
     pub command: String,
 }
 
 impl Study<'_> {
-    /// Drives everything. `on_run` is called after each drive.
+    /// Runs all drives. `on_run` is called after each drive.
     pub fn conduct(&self, on_run: impl Fn() + Sync) -> Result<Vec<Outcome>, DriveError> {
         if !self.course.path.is_closed() && self.laps > 1 {
             return Err(DriveError::OpenPath);
@@ -98,7 +97,7 @@ impl Study<'_> {
         Ok(outcomes)
     }
 
-    /// Number of drives.
+    /// Total number of drives.
     pub fn runs(&self) -> u64 {
         (self.policies.len() * self.speeds.len() * self.loads.len()) as u64 * u64::from(self.seeds)
     }
@@ -112,13 +111,13 @@ impl Study<'_> {
             lidar: self.lidar.clone(),
             odometer: self.odometer.clone(),
             flaws: self.flaws.clone(),
-            costs: costs::of(self.estimator, self.costs.as_deref(), self.config.contract.confidence)?,
+            costs: costs::load(self.estimator, self.costs.as_deref(), self.config.contract.confidence)?,
             load: case.load,
             policy: case.policy.clone(),
             replanning: self.replanning,
             laps: self.laps,
             seed,
-            by_truth: false,
+            steer_by_truth: false,
         })
     }
 
@@ -137,12 +136,12 @@ impl Study<'_> {
         let figures = Figures::of(&runs);
         let shown = runs.iter().position(|run| !run.is_finished()).unwrap_or(0);
         for (index, run) in runs.iter_mut().enumerate() {
-            run.forget_details(index == 0 || index == shown);
+            run.drop_details(index == 0 || index == shown);
         }
         Ok(Outcome { case, figures, runs })
     }
 
-    /// What was driven, in words.
+    /// Settings of the study as (name, value). The names are also JSON keys.
     pub(super) fn facts(&self) -> Vec<(&'static str, String)> {
         vec![
             ("world", self.course.name.clone()),
@@ -152,7 +151,7 @@ impl Study<'_> {
             ),
             ("estimator", self.estimator.name().into()),
             ("law", self.follower.law.name().into()),
-            ("laps, seeds", format!("{} laps, {} seeds from {} on", self.laps, self.seeds, self.first_seed)),
+            ("laps, seeds", format!("{} laps, {} seeds starting at {}", self.laps, self.seeds, self.first_seed)),
             ("laser", format!("{} beams at {} Hz", self.lidar.beams, self.lidar.rate)),
             (
                 "flaws of the car, standard deviations",
@@ -166,18 +165,20 @@ impl Study<'_> {
             ("costs", self.costs.as_ref().map_or("built in".into(), |path| path.display().to_string())),
             (
                 "late paths",
-                self.replanning
-                    .map_or("none".into(), |how| format!("{} a second, {} s late, {} m long", how.rate, how.delay, how.horizon)),
+                self.replanning.map_or("none".into(), |planner| {
+                    format!("{} Hz, delay {} s, length {} m", planner.rate, planner.delay, planner.horizon)
+                }),
             ),
             (
                 "emergency brake",
-                if self.follower.min_time_to_collision.0 > 0.0 { "on" } else { "off: what it would hide is seen" }.into(),
+                if self.follower.min_time_to_collision.0 > 0.0 { "on" } else { "off, so that it does not hide collisions" }
+                    .into(),
             ),
             ("program", format!("anytime_scan_matcher {}", env!("CARGO_PKG_VERSION"))),
         ]
     }
 
-    /// For machines.
+    /// The results as JSON.
     pub fn to_json(&self, outcomes: &[Outcome]) -> Value {
         let case = |outcome: &Outcome| {
             let Case { policy, speed, load } = &outcome.case;
@@ -198,7 +199,7 @@ impl Study<'_> {
     }
 }
 
-/// For machines.
+/// A mode as JSON.
 fn mode(&Mode { delay, error }: &Mode) -> Value {
     json!({"delay_s": delay.as_secs_f64(), "error_m": error.translation, "heading_error_rad": error.rotation})
 }
@@ -210,7 +211,7 @@ impl std::fmt::Display for Case {
     }
 }
 
-/// The columns of the table.
+/// Header of the results table.
 pub(super) const HEADER: [&str; 15] = [
     "policy",
     "speed",
@@ -229,7 +230,7 @@ pub(super) const HEADER: [&str; 15] = [
     "cpu/lap [s]",
 ];
 
-/// A row of the table.
+/// A row of the results table.
 pub(super) fn row(outcome: &Outcome) -> Vec<String> {
     let Outcome { case, figures, .. } = outcome;
     let centimetres = figures.lateral.map(|error| format!("{:.1}", 100.0 * error));
@@ -251,7 +252,7 @@ pub(super) fn row(outcome: &Outcome) -> Vec<String> {
     row
 }
 
-/// For people.
+/// The results as a text table.
 pub fn to_text(outcomes: &[Outcome]) -> String {
     let mut table = comfy_table::Table::new();
     table.load_style(presets::NOTHING);
@@ -262,22 +263,23 @@ pub fn to_text(outcomes: &[Outcome]) -> String {
     remarks(outcomes).iter().fold(table.to_string(), |text, remark| text + "\n" + remark)
 }
 
-/// What the table does not say.
+/// Remarks below the results table.
 pub(super) fn remarks(outcomes: &[Outcome]) -> Vec<String> {
     let mut remarks = Vec::new();
     for Outcome { case, figures, .. } in outcomes {
         if let Some(reason) = &figures.first_stop {
-            let share = 100.0 * figures.stopped;
-            remarks.push(format!("{case}: braked or stood for {share:.1} % of the commands, first because {reason}"));
+            let percent = 100.0 * figures.stopped;
+            remarks.push(format!("{case}: {percent:.1} % of the commands braked or held the car; first reason: {reason}"));
         }
         if let Some(outside) = &figures.first_outside {
-            let share = 100.0 * figures.outside;
-            remarks
-                .push(format!("{case}: warning: {share:.1} % of the answers are outside of what the profile is of: {outside}"));
+            let percent = 100.0 * figures.outside;
+            remarks.push(format!(
+                "{case}: warning: {percent:.1} % of the answers are outside the conditions of the profile: {outside}"
+            ));
         }
-        if figures.step_aside > 0.0 {
-            let centimetres = 100.0 * figures.step_aside;
-            remarks.push(format!("{case}: the followed line stepped aside by {centimetres:.1} cm at most"));
+        if figures.line_jump > 0.0 {
+            let centimetres = 100.0 * figures.line_jump;
+            remarks.push(format!("{case}: new paths shifted the followed line sideways by at most {centimetres:.1} cm"));
         }
     }
     remarks

@@ -1,4 +1,4 @@
-//! Which pose of the truth belongs to which pose of the estimate.
+//! Association of estimated poses with true poses, by their stamps.
 
 use thiserror::Error;
 
@@ -6,28 +6,28 @@ use super::trajectory::Trajectory;
 use crate::geometry::Pose2;
 use crate::time::Stamp;
 
-/// A pose of the estimate and the true one at the same stamp.
+/// An estimated pose and the true pose at the same stamp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchedPose {
-    /// When.
+    /// Stamp of the estimate.
     pub stamp: Stamp,
-    /// Where the estimate says.
+    /// Estimated pose.
     pub estimate: Pose2,
-    /// Where it was.
+    /// True pose.
     pub truth: Pose2,
 }
 
-/// Two trajectories that hardly meet in time.
+/// Two trajectories that hardly overlap in time.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error(
     "only {matched} of {poses} poses have a true pose within {max_dt} s (the estimate runs from {} to {} s, the truth from {} to \
-     {} s): are both stamped by the same clock, and are the files those of one drive?",
+     {} s): are both stamped by the same clock, and do both files belong to the same drive?",
     estimate.0, estimate.1, truth.0, truth.1
 )]
 pub struct AssociationError {
-    /// Poses that have a counterpart.
+    /// Number of estimated poses with a true pose.
     pub matched: usize,
-    /// Poses of the estimate.
+    /// Number of estimated poses.
     pub poses: usize,
     /// Tolerance in time, s.
     pub max_dt: f64,
@@ -37,14 +37,14 @@ pub struct AssociationError {
     pub truth: (Stamp, Stamp),
 }
 
-/// The true pose at a stamp, interpolated, where there is one within `max_dt` seconds.
+/// The true pose interpolated to a stamp, if there is a true pose within `max_dt` seconds.
 pub fn true_pose(truth: &Trajectory, stamp: Stamp, max_dt: f64) -> Option<Pose2> {
     let is_near = truth.nearest(stamp).stamp.seconds_since(stamp).abs() <= max_dt;
     is_near.then(|| truth.interpolated(stamp)).flatten()
 }
 
-/// Every pose of the estimate that has a pose of the truth within `max_dt` seconds, with the truth interpolated to its own stamp:
-/// at 3 m/s a truth of 50 Hz taken as it stands would be off by up to 3 cm. At least two, or an error.
+/// Pairs every estimated pose that has a true pose within `max_dt` seconds with the truth interpolated to its stamp. Without
+/// interpolation, a truth of 50 Hz would be off by up to 3 cm at 3 m/s. Fewer than two pairs are an error.
 pub fn associate(estimate: &Trajectory, truth: &Trajectory, max_dt: f64) -> Result<Vec<MatchedPose>, AssociationError> {
     let matched: Vec<_> = estimate
         .poses()

@@ -1,4 +1,4 @@
-//! Absolute trajectory error: how far the estimate is from the truth once the two are aligned as well as possible.
+//! Absolute trajectory error (ATE): the error of the estimated poses after the best alignment with the truth.
 //!
 //! J. Sturm, N. Engelhard, F. Endres, W. Burgard, D. Cremers: A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012.
 
@@ -9,14 +9,14 @@ use crate::geometry::{Point, Pose2, perpendicular};
 /// Absolute trajectory error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ate {
-    /// The alignment: takes the estimate to the truth.
+    /// The alignment: transforms the estimate to the frame of the truth.
     pub truth_from_estimate: Pose2,
-    /// What is left after it.
+    /// Errors that remain after the alignment.
     pub errors: PoseErrors,
 }
 
 impl Ate {
-    /// The error of one pose: the aligned estimate seen from the truth.
+    /// The error of one pose: the aligned estimate in the frame of the true pose.
     pub fn error(&self, matched: &MatchedPose) -> Pose2 {
         error(self.truth_from_estimate, matched)
     }
@@ -26,19 +26,19 @@ fn error(truth_from_estimate: Pose2, matched: &MatchedPose) -> Pose2 {
     matched.truth.between(&(truth_from_estimate * matched.estimate))
 }
 
-/// The absolute trajectory error over all matched poses; `None` when there are none.
+/// Computes the absolute trajectory error of all matched poses; `None` if there are none.
 pub fn ate(matched: &[MatchedPose]) -> Option<Ate> {
     let truth_from_estimate = align(matched);
     let errors: Vec<_> = matched.iter().map(|m| error(truth_from_estimate, m)).collect();
     Some(Ate { truth_from_estimate, errors: PoseErrors::of(&errors)? })
 }
 
-/// The motion that takes the positions of the estimate onto those of the truth with the least sum of squared distances.
+/// The rigid transform from the estimated to the true positions with the least sum of squared distances.
 ///
 /// S. Umeyama: Least-squares estimation of transformation parameters between two point patterns, PAMI 1991; without the scale,
-/// which a laser knows. In the plane its SVD shrinks to one arctangent: with both patterns about their centroids,
-/// sum |q - R(theta) p|^2 = const - 2 (cos(theta) sum p.q + sin(theta) sum p x q). A robot that never moved leaves the angle
-/// open; 0 is taken.
+/// which a laser measures. In the plane the SVD reduces to one arctangent: with both patterns centred at their centroids,
+/// sum |q - R(theta) p|^2 = const - 2 (cos(theta) sum p.q + sin(theta) sum p x q). If the robot never
+/// moved, the angle is undetermined, and 0 is used.
 fn align(matched: &[MatchedPose]) -> Pose2 {
     let count = matched.len() as f64;
     let estimate_centre = matched.iter().map(|m| m.estimate.translation()).sum::<Point>() / count;
@@ -61,9 +61,9 @@ mod tests {
     use super::*;
     use crate::time::Stamp;
 
-    /// Truth at (0,0), (2,0); estimate at (0,1), (4,1): aligned by (-1,-1), each end 1 m off along x.
+    /// Truth at (0,0), (2,0); estimate at (0,1), (4,1): the alignment is (-1,-1), and each end is off by 1 m along x.
     #[test]
-    fn of_two_poses_by_hand() {
+    fn ate_of_two_poses_matches_hand_calculation() {
         let pair = |truth, estimate| MatchedPose { stamp: Stamp::default(), estimate, truth };
         let ate = ate(&[
             pair(Pose2::new(0.0, 0.0, 0.1), Pose2::new(0.0, 1.0, 0.0)),
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn of_nothing_is_nothing() {
+    fn no_poses_have_no_ate() {
         assert_eq!(ate(&[]), None);
     }
 }

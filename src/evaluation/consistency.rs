@@ -1,5 +1,5 @@
-//! Whether covariances hold: errors against the truth, in units of what the estimate claims of them (Bar-Shalom, Li and Kirubarajan:
-//! Estimation with Applications to Tracking and Navigation, 2001, section 5.4).
+//! Consistency check of covariances: compares the errors against the truth with the covariances that the estimator reports (Bar-Shalom,
+//! Li and Kirubarajan: Estimation with Applications to Tracking and Navigation, 2001, section 5.4).
 
 use std::fmt;
 
@@ -10,44 +10,44 @@ use super::association::true_pose;
 use super::trajectory::{StampedPose, Trajectory};
 use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 
-/// Square of the distance, in standard deviations, that a position in the plane keeps within as seldom as one coordinate keeps within
-/// three: chi-squared of 2 degrees of freedom at 99.73 %.
+/// Squared Mahalanobis distance that a position in the plane exceeds as rarely as one coordinate exceeds three standard deviations:
+/// chi-squared of 2 degrees of freedom at 99.73 %.
 const THREE_SIGMA_IN_THE_PLANE: f64 = 11.83;
-/// The same for one coordinate.
+/// The same for one coordinate: the square of three standard deviations.
 const THREE_SIGMA: f64 = 9.0;
-/// An error that a controller minds, m ...
-const GROSS: f64 = 0.1;
-/// ... and deg.
-const GROSS_TURN: f64 = 2.0;
+/// Smallest position error that matters to a controller, m.
+const GROSS_ERROR: f64 = 0.1;
+/// Smallest heading error that matters to a controller, deg.
+const GROSS_ROTATION: f64 = 2.0;
 
-/// A pose and what its estimator says of its error.
+/// A pose with the covariance that its estimator reports.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Claim {
-    /// Pose of the base, in a frame that does not jump.
+pub struct UncertainPose {
+    /// Pose of the base, in a frame without jumps.
     pub pose: StampedPose,
-    /// Covariance of it, in that frame.
+    /// Covariance of the pose, in that frame.
     pub covariance: PoseCovariance,
-    /// Whether the pose is said to be relied on.
+    /// Whether the estimator reports the pose as reliable.
     pub is_ok: bool,
 }
 
-/// How well the claims of a drive hold. Errors are those of the pose seen from the first one that has a true pose.
+/// Consistency of the covariances of a drive. Errors are relative to the first pose that has a true pose.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Consistency {
-    /// Poses that were compared.
+    /// Number of poses compared.
     pub poses: usize,
-    /// Share of the positions that are within three sigma; 0.9973 where covariances are right.
+    /// Fraction of the positions within three sigma; 0.9973 if the covariances are right.
     pub positions_within: f64,
-    /// Share of the headings that are.
+    /// Fraction of the headings within three sigma; 0.9973 if the covariances are right.
     pub headings_within: f64,
-    /// Normalised estimation error squared, mean; 3 where covariances are right, less where they are cautious.
+    /// Mean normalised estimation error squared (NEES); 3 if the covariances are right, less if they are conservative.
     pub nees: f64,
-    /// Poses that are off by more than 10 cm or 2 degrees, beyond three sigma, and yet said to be relied on.
+    /// Number of poses that are off by more than 10 cm or 2 degrees, and by more than three sigma, but reported as reliable.
     pub confidently_wrong: usize,
 }
 
 impl Consistency {
-    /// Of poses, each with its covariance and the truth in one frame; `None` where no covariance can be inverted.
+    /// Evaluates poses, each with its covariance and true pose in a common frame; `None` if no covariance is invertible.
     pub fn of<'a>(poses: impl IntoIterator<Item = (&'a Pose2, &'a PoseCovariance, &'a Pose2)>) -> Option<Self> {
         let mut sums = Sums::default();
         for (pose, covariance, truth) in poses {
@@ -56,12 +56,14 @@ impl Consistency {
         sums.consistency()
     }
 
-    /// Compares claims, in any order, with the truth within `max_dt` seconds; `None` where no claim has a covariance and a true pose.
-    pub fn new(claims: &[Claim], truth: &Trajectory, max_dt: f64) -> Option<Self> {
+    /// Compares poses, in any order, with the truth within `max_dt` seconds; `None` if no pose has both a covariance and a true pose.
+    pub fn new(poses: &[UncertainPose], truth: &Trajectory, max_dt: f64) -> Option<Self> {
         let mut sums = Sums::default();
-        let mut claims = claims.iter().filter_map(|claim| Some((claim, true_pose(truth, claim.pose.stamp, max_dt)?)));
-        let (start, true_start) = claims.next()?;
-        for (Claim { pose, covariance, is_ok }, truth) in claims {
+        let mut poses = poses
+            .iter()
+            .filter_map(|uncertain_pose| Some((uncertain_pose, true_pose(truth, uncertain_pose.pose.stamp, max_dt)?)));
+        let (start, true_start) = poses.next()?;
+        for (UncertainPose { pose, covariance, is_ok }, truth) in poses {
             let truth = start.pose.pose * true_start.between(&truth);
             sums.add(&pose.pose, covariance, &truth, *is_ok);
         }
@@ -69,12 +71,12 @@ impl Consistency {
     }
 }
 
-/// A line for people.
+/// One line of text.
 impl fmt::Display for Consistency {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [positions, headings] = [self.positions_within, self.headings_within].map(|share| 100.0 * share);
+        let [positions, headings] = [self.positions_within, self.headings_within].map(|fraction| 100.0 * fraction);
         write!(f, "within 3 sigma: {positions:.1} % of positions, {headings:.1} % of headings (odom frame); ")?;
-        write!(f, "off by over 10 cm or 2 deg and beyond: {} poses", self.confidently_wrong)
+        write!(f, "confidently wrong (off by over 10 cm or 2 deg, and over 3 sigma): {} poses", self.confidently_wrong)
     }
 }
 
@@ -88,18 +90,18 @@ struct Sums {
 }
 
 impl Sums {
-    /// A pose without covariance, as of the first scan, says nothing of its error.
+    /// Adds a pose. One without an invertible covariance, like that of the first scan, is ignored.
     fn add(&mut self, pose: &Pose2, covariance: &PoseCovariance, truth: &Pose2, is_ok: bool) {
         let Some(known) = covariance.cholesky() else { return };
-        let turn = wrap_angle(pose.theta - truth.theta);
-        let error = Vector3::new(pose.x - truth.x, pose.y - truth.y, turn);
+        let rotation = wrap_angle(pose.theta - truth.theta);
+        let error = Vector3::new(pose.x - truth.x, pose.y - truth.y, rotation);
         let position = error.fixed_rows::<2>(0).into_owned();
         let squared =
             covariance.fixed_view::<2, 2>(0, 0).into_owned().cholesky().map(|known| position.dot(&known.solve(&position)));
         let is_position_within = squared.is_some_and(|squared| squared <= THREE_SIGMA_IN_THE_PLANE);
-        let is_heading_within = turn * turn <= THREE_SIGMA * covariance.m33;
-        let is_gross =
-            (position.norm() > GROSS && !is_position_within) || (turn.to_degrees().abs() > GROSS_TURN && !is_heading_within);
+        let is_heading_within = rotation * rotation <= THREE_SIGMA * covariance.m33;
+        let is_gross = (position.norm() > GROSS_ERROR && !is_position_within)
+            || (rotation.to_degrees().abs() > GROSS_ROTATION && !is_heading_within);
         self.poses += 1;
         self.positions_within += usize::from(is_position_within);
         self.headings_within += usize::from(is_heading_within);
@@ -108,11 +110,11 @@ impl Sums {
     }
 
     fn consistency(&self) -> Option<Consistency> {
-        let share = |count: usize| count as f64 / self.poses as f64;
+        let fraction = |count: usize| count as f64 / self.poses as f64;
         (self.poses > 0).then(|| Consistency {
             poses: self.poses,
-            positions_within: share(self.positions_within),
-            headings_within: share(self.headings_within),
+            positions_within: fraction(self.positions_within),
+            headings_within: fraction(self.headings_within),
             nees: self.nees / self.poses as f64,
             confidently_wrong: self.confidently_wrong,
         })
@@ -131,45 +133,49 @@ mod tests {
 
     const SIGMA: f64 = 0.1;
 
-    fn claim(seconds: f64, x: f64, theta: f64) -> Claim {
+    fn uncertain_pose(seconds: f64, x: f64, theta: f64) -> UncertainPose {
         let pose = StampedPose { stamp: Stamp::from_seconds(seconds), pose: Pose2::new(x, 0.0, theta) };
         let variance = if seconds == 0.0 { 0.0 } else { SIGMA * SIGMA };
-        Claim { pose, covariance: PoseCovariance::from_diagonal_element(variance), is_ok: true }
+        UncertainPose { pose, covariance: PoseCovariance::from_diagonal_element(variance), is_ok: true }
     }
 
-    /// The truth is a drive along y at 1 m/s that begins at (5, 5); the estimate calls that direction x.
-    fn compared(claims: &[Claim]) -> Option<Consistency> {
+    /// The true drive starts at (5, 5) and goes along y at 1 m/s, which is x in the frame of the estimate.
+    fn consistency_of(poses: &[UncertainPose]) -> Option<Consistency> {
         let at = |seconds: f64| StampedPose {
             stamp: Stamp::from_seconds(seconds),
             pose: Pose2::new(5.0, 5.0 + seconds, std::f64::consts::FRAC_PI_2),
         };
         let truth = Trajectory::new((0..10).map(|i| at(f64::from(i))).collect()).unwrap();
-        Consistency::new(claims, &truth, 0.1)
+        Consistency::new(poses, &truth, 0.1)
     }
 
     #[test]
-    fn errors_are_seen_from_the_start_in_units_of_sigma() {
-        let found = compared(&[claim(0.0, 0.0, 0.0), claim(1.0, 1.1, 0.1), claim(2.0, 2.0, 0.0)]).unwrap();
-        assert_eq!((found.poses, found.confidently_wrong), (2, 0), "the start says nothing of itself");
+    fn errors_are_relative_to_the_start_in_units_of_sigma() {
+        let found =
+            consistency_of(&[uncertain_pose(0.0, 0.0, 0.0), uncertain_pose(1.0, 1.1, 0.1), uncertain_pose(2.0, 2.0, 0.0)])
+                .unwrap();
+        assert_eq!((found.poses, found.confidently_wrong), (2, 0), "the start itself does not count");
         assert!((found.nees - 1.0).abs() < 1e-9 && found.positions_within > 0.99 && found.headings_within > 0.99, "{found:?}");
     }
 
     #[test]
     fn scans_out_of_order_count_too() {
-        let claims = [0.0, 1.0, 3.0, 2.0, 4.0].map(|seconds| claim(seconds, seconds, 0.0));
-        assert_eq!(compared(&claims).unwrap().poses, 4);
+        let poses = [0.0, 1.0, 3.0, 2.0, 4.0].map(|seconds| uncertain_pose(seconds, seconds, 0.0));
+        assert_eq!(consistency_of(&poses).unwrap().poses, 4);
     }
 
     #[test]
-    fn what_is_beyond_three_sigma_and_large_is_confidently_wrong() {
-        let found = compared(&[claim(0.0, 0.0, 0.0), claim(1.0, 1.5, 0.0), claim(2.0, 2.0, 0.5)]).unwrap();
+    fn large_errors_beyond_three_sigma_are_confidently_wrong() {
+        let found =
+            consistency_of(&[uncertain_pose(0.0, 0.0, 0.0), uncertain_pose(1.0, 1.5, 0.0), uncertain_pose(2.0, 2.0, 0.5)])
+                .unwrap();
         assert_eq!((found.positions_within, found.headings_within, found.confidently_wrong), (0.5, 0.5, 2));
-        let doubtful = Claim { is_ok: false, ..claim(1.0, 1.5, 0.0) };
-        assert_eq!(compared(&[claim(0.0, 0.0, 0.0), doubtful]).unwrap().confidently_wrong, 0);
+        let unreliable = UncertainPose { is_ok: false, ..uncertain_pose(1.0, 1.5, 0.0) };
+        assert_eq!(consistency_of(&[uncertain_pose(0.0, 0.0, 0.0), unreliable]).unwrap().confidently_wrong, 0);
     }
 
     #[test]
-    fn errors_that_their_covariances_predict_are_consistent() {
+    fn errors_drawn_from_their_covariance_are_consistent() {
         let mut random = Pcg64::seed_from_u64(1);
         let covariance = PoseCovariance::new(4e-4, 1e-4, 1e-5, 1e-4, 1e-4, 0.0, 1e-5, 0.0, 1e-5);
         let root = covariance.cholesky().unwrap().l();
@@ -180,16 +186,22 @@ mod tests {
                 Pose2::new(truth.x + off.x, truth.y + off.y, wrap_angle(truth.theta + off.z))
             })
             .collect();
-        let of = |claimed: PoseCovariance| Consistency::of(estimates.iter().map(|pose| (pose, &claimed, &truth))).unwrap();
-        let (right, bold) = (of(covariance), of(covariance / 9.0));
+        let of = |reported: PoseCovariance| Consistency::of(estimates.iter().map(|pose| (pose, &reported, &truth))).unwrap();
+        let (right, overconfident) = (of(covariance), of(covariance / 9.0));
         assert!((right.nees - 3.0).abs() < 0.1 && (right.positions_within - 0.9973).abs() < 0.002, "{right:?}");
-        assert!((bold.nees - 27.0).abs() < 1.0 && (bold.positions_within - 0.48).abs() < 0.02, "{bold:?}");
+        assert!(
+            (overconfident.nees - 27.0).abs() < 1.0 && (overconfident.positions_within - 0.48).abs() < 0.02,
+            "{overconfident:?}"
+        );
     }
 
     #[test]
-    fn without_covariances_nothing_is_said() {
+    fn without_covariances_there_is_no_result() {
         assert_eq!(
-            compared(&[claim(0.0, 0.0, 0.0), Claim { covariance: PoseCovariance::zeros(), ..claim(1.0, 1.0, 0.0) }]),
+            consistency_of(&[
+                uncertain_pose(0.0, 0.0, 0.0),
+                UncertainPose { covariance: PoseCovariance::zeros(), ..uncertain_pose(1.0, 1.0, 0.0) }
+            ]),
             None
         );
     }

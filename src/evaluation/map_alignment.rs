@@ -1,4 +1,4 @@
-//! Where one map lies on another: the motion that lays its walls onto the other's.
+//! Alignment of a map with another one: the transform that matches their walls.
 
 use std::f64::consts::TAU;
 
@@ -8,37 +8,37 @@ use crate::geometry::{Point, Pose2, perpendicular};
 use crate::map::distance::DistanceField;
 use crate::map::grid::{Cell, OccupancyGrid};
 
-/// Limits of pairs while aligning, m: wide first.
+/// Successive limits of the distance between a point and a wall in the refinement, m.
 const LIMITS: [f64; 4] = [2.0, 0.7, 0.3, 0.15];
-/// Steps with each.
-const STEPS: usize = 30;
-/// Motions to begin with: so many headings, 3 degrees apart, ...
+/// Maximum number of Gauss-Newton steps with each limit.
+const MAX_STEPS: usize = 30;
+/// Number of headings of the initial guesses, 3 degrees apart.
 const HEADINGS: usize = 120;
-/// ... and places so far apart, m.
-const SPACING: f64 = 1.0;
-/// So many points of the map tell which motions are worth a try, ...
-const SAMPLE: usize = 150;
-/// ... and so many are tried, ...
-const TRIED: usize = 10;
-/// ... no two of them nearer to one another than this, m and rad.
-const APART: f64 = 1.5;
+/// Spacing of the positions of the initial guesses, m.
+const POSITION_SPACING: f64 = 1.0;
+/// Number of points that rate the initial guesses.
+const SAMPLE_POINTS: usize = 150;
+/// Maximum number of initial guesses that are refined.
+const MAX_GUESSES: usize = 10;
+/// Minimum distance between two refined initial guesses: metres plus radians.
+const MIN_SEPARATION: f64 = 1.5;
 
-/// The motion that lays points onto the truth's walls: least squares of the distances to them, within limits that narrow. It begins where the
-/// points are, and at the likeliest motions of all. The distances are between cells' centres, and interpolated: nearest points would stick to
-/// their cells.
+/// The transform that aligns points with the walls of the truth: least squares of the distances to the walls, with successively smaller
+/// limits. It starts at the identity and at the best guesses of a global search. The distances are interpolated between cell centres,
+/// because nearest-point distances would lock onto the cells.
 pub(super) fn alignment(points: &[Point], truth: &OccupancyGrid) -> Pose2 {
     let field = Field::of(truth);
-    let sample: Vec<Point> = points.iter().step_by(points.len().div_ceil(SAMPLE).max(1)).copied().collect();
-    let begun = std::iter::once(Pose2::IDENTITY).chain(field.starts(&sample));
+    let sample: Vec<Point> = points.iter().step_by(points.len().div_ceil(SAMPLE_POINTS).max(1)).copied().collect();
+    let guesses = std::iter::once(Pose2::IDENTITY).chain(field.initial_guesses(&sample));
     let refined =
-        begun.map(|start| field.refined(points, start)).map(|motion| (field.cost(points, &motion, f64::INFINITY), motion));
+        guesses.map(|start| field.refined(points, start)).map(|motion| (field.cost(points, &motion, f64::INFINITY), motion));
     refined.reduce(|best, other| if other.0 < best.0 { other } else { best }).map_or(Pose2::IDENTITY, |(_, motion)| motion)
 }
 
-/// Distances to the walls of a map, also around it.
+/// Distance field of the walls of a map, with a margin around the map.
 struct Field<'a> {
     map: &'a OccupancyGrid,
-    /// Cells added on every side.
+    /// Number of cells added on every side.
     margin: i64,
     distances: DistanceField,
 }
@@ -46,7 +46,7 @@ struct Field<'a> {
 impl<'a> Field<'a> {
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_possible_wrap)] // a few hundred cells
     fn of(map: &'a OccupancyGrid) -> Self {
-        // Beyond its edge a field is blocked.
+        // A distance field is blocked beyond its edge.
         let margin = (2.0 * LIMITS[0] / map.resolution()).ceil() as usize;
         let width = map.width() + 2 * margin;
         let mut walls = vec![false; width * (map.height() + 2 * margin)];
@@ -56,9 +56,9 @@ impl<'a> Field<'a> {
         Self { map, margin: margin as i64, distances: DistanceField::new(width, walls) }
     }
 
-    /// Distance of a point's cell from the walls, m; infinite far from the map.
+    /// Distance of a point's cell from the walls, m; infinite beyond the margin.
     #[allow(clippy::cast_possible_truncation, clippy::cast_possible_wrap)] // saturates
-    fn near(&self, point: &Point) -> f64 {
+    fn cell_distance(&self, point: &Point) -> f64 {
         let place = self.map.coordinates(*point);
         let cell = |along: f64, size: usize| {
             let cell = (along.floor() as i64).saturating_add(self.margin);
@@ -70,9 +70,9 @@ impl<'a> Field<'a> {
         }
     }
 
-    /// Distance of a point from the walls, m, and its slope along the map's axes.
+    /// Interpolated distance of a point from the walls, m, and its gradient along the map's axes.
     #[allow(clippy::cast_possible_truncation)] // saturates
-    fn at(&self, point: &Point) -> (f64, Point) {
+    fn distance_and_gradient(&self, point: &Point) -> (f64, Point) {
         let place = self.map.coordinates(*point) - Point::new(0.5, 0.5);
         let (column, row) = (place.x.floor(), place.y.floor());
         let (x, y) = (place.x - column, place.y - row);
@@ -82,59 +82,60 @@ impl<'a> Field<'a> {
         };
         let [a, b, c, d] = [value(0, 0), value(1, 0), value(0, 1), value(1, 1)];
         let (low, high) = (a + x * (b - a), c + x * (d - c));
-        let slope = Point::new((1.0 - y) * (b - a) + y * (d - c), high - low);
-        let turned = self.map.origin().transform().rotate(slope);
+        let gradient = Point::new((1.0 - y) * (b - a) + y * (d - c), high - low);
+        let turned = self.map.origin().transform().rotate(gradient);
         ((low + y * (high - low)) * self.map.resolution(), turned)
     }
 
-    /// Sum of the points' distances, m, none of which counts for more than the widest limit; above `most` it goes no farther.
-    fn cost(&self, points: &[Point], motion: &Pose2, most: f64) -> f64 {
+    /// Sum of the points' distances, m, each truncated at the widest limit. Stops once the sum exceeds `max`.
+    fn cost(&self, points: &[Point], motion: &Pose2, max: f64) -> f64 {
         let transform = motion.transform();
         let mut sum = 0.0;
         for point in points {
-            sum += self.near(&transform.apply(*point)).min(LIMITS[0]);
-            if sum > most {
+            sum += self.cell_distance(&transform.apply(*point)).min(LIMITS[0]);
+            if sum > max {
                 break;
             }
         }
         sum
     }
 
-    /// The motions that lay the points next to the walls, by coarse steps, best first.
+    /// Global search in coarse steps: the transforms that bring the points nearest to the walls, best first.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // places on a map
-    fn starts(&self, points: &[Point]) -> Vec<Pose2> {
-        let middle = points.iter().sum::<Point>() / points.len().max(1) as f64;
+    fn initial_guesses(&self, points: &[Point]) -> Vec<Pose2> {
+        let centre = points.iter().sum::<Point>() / points.len().max(1) as f64;
         let size = Point::new(self.map.width() as f64, self.map.height() as f64) * self.map.resolution();
-        let (columns, rows) = ((size.x / SPACING) as usize, (size.y / SPACING) as usize);
-        let place = |i: usize| Point::new((i % columns) as f64 + 0.5, (i / columns) as f64 + 0.5) * SPACING;
+        let (columns, rows) = ((size.x / POSITION_SPACING) as usize, (size.y / POSITION_SPACING) as usize);
+        let place = |i: usize| Point::new((i % columns) as f64 + 0.5, (i / columns) as f64 + 0.5) * POSITION_SPACING;
         let mut best: Vec<(f64, Pose2)> = Vec::new();
         for heading in (0..HEADINGS).map(|i| i as f64 * TAU / HEADINGS as f64) {
-            let turn = Pose2::new(0.0, 0.0, heading).transform();
+            let rotation = Pose2::new(0.0, 0.0, heading).transform();
             for place in (0..columns * rows).map(place) {
-                let offset = self.map.origin().transform().apply(place) - turn.rotate(middle);
+                let offset = self.map.origin().transform().apply(place) - rotation.rotate(centre);
                 let motion = Pose2::new(offset.x, offset.y, heading);
-                let most = if best.len() < TRIED { f64::INFINITY } else { best[TRIED - 1].0 };
-                let cost = self.cost(points, &motion, most);
-                if cost >= most {
+                let max = if best.len() < MAX_GUESSES { f64::INFINITY } else { best[MAX_GUESSES - 1].0 };
+                let cost = self.cost(points, &motion, max);
+                if cost >= max {
                     continue;
                 }
-                let is_apart = |other: &Pose2| {
-                    let way = other.transform().apply(middle) - turn.apply(middle) - offset;
-                    way.norm() + other.between(&motion).theta.abs() > APART
+                let is_separate = |other: &Pose2| {
+                    let shift = other.transform().apply(centre) - rotation.apply(centre) - offset;
+                    shift.norm() + other.between(&motion).theta.abs() > MIN_SEPARATION
                 };
-                if best.iter().all(|(than, other)| is_apart(other) || cost < *than) {
-                    best.retain(|(_, other)| is_apart(other));
-                    best.insert(best.partition_point(|(than, _)| *than <= cost), (cost, motion));
-                    best.truncate(TRIED);
+                if best.iter().all(|(other_cost, other)| is_separate(other) || cost < *other_cost) {
+                    best.retain(|(_, other)| is_separate(other));
+                    best.insert(best.partition_point(|(other_cost, _)| *other_cost <= cost), (cost, motion));
+                    best.truncate(MAX_GUESSES);
                 }
             }
         }
         best.into_iter().map(|(_, motion)| motion).collect()
     }
 
+    /// Refines a transform by Gauss-Newton steps.
     fn refined(&self, points: &[Point], mut motion: Pose2) -> Pose2 {
         for limit in LIMITS {
-            for _ in 0..STEPS {
+            for _ in 0..MAX_STEPS {
                 let Some(step) = self.step(points, &motion, limit) else { break };
                 motion = Pose2::new(motion.x + step.x, motion.y + step.y, motion.theta + step.z);
                 if step.amax() < 1e-5 {
@@ -145,17 +146,17 @@ impl<'a> Field<'a> {
         motion
     }
 
-    /// The Gauss-Newton step for the points nearer than `limit`; `None` where they do not determine one.
+    /// The Gauss-Newton step for the points nearer to a wall than `limit`; `None` if they leave it undetermined.
     fn step(&self, points: &[Point], motion: &Pose2, limit: f64) -> Option<Vector3<f64>> {
         let transform = motion.transform();
         let (mut matrix, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
         for point in points {
             let rotated = transform.rotate(*point);
-            let (distance, slope) = self.at(&(rotated + motion.translation()));
+            let (distance, slope) = self.distance_and_gradient(&(rotated + motion.translation()));
             if distance < limit {
-                let by_motion = Vector3::new(slope.x, slope.y, slope.dot(&perpendicular(rotated)));
-                matrix += by_motion * by_motion.transpose();
-                gradient -= by_motion * distance;
+                let jacobian = Vector3::new(slope.x, slope.y, slope.dot(&perpendicular(rotated)));
+                matrix += jacobian * jacobian.transpose();
+                gradient -= jacobian * distance;
             }
         }
         Some(matrix.cholesky()?.solve(&gradient))
@@ -166,7 +167,7 @@ impl<'a> Field<'a> {
 mod tests {
     use super::*;
 
-    /// The walls of an L-shaped room, 20 m x 12 m and 8 m x 6 m, by the middles of their cells.
+    /// The centres of the wall cells of an L-shaped room, 20 m x 12 m and 8 m x 6 m.
     fn walls() -> Vec<Point> {
         let corners = [(1.0, 1.0), (21.0, 1.0), (21.0, 13.0), (13.0, 13.0), (13.0, 7.0), (1.0, 7.0), (1.0, 1.0)];
         let mut walls = Vec::new();
@@ -187,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn a_map_is_found_wherever_its_frame_is() {
+    fn a_map_is_aligned_from_any_frame() {
         let (walls, truth) = (walls(), grid(&walls()));
         for frame in [Pose2::IDENTITY, Pose2::new(8.0, -20.0, 2.4), Pose2::new(-300.0, 40.0, -1.0)] {
             let back = frame.inverse().transform();
@@ -198,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_lies_anywhere() {
+    fn no_points_give_the_identity() {
         assert_eq!(alignment(&[], &grid(&walls())), Pose2::IDENTITY);
     }
 }

@@ -1,10 +1,9 @@
-//! Maps against the true map: walls that are not there, walls that are missed, space that is not free; and what can be told of a map by
-//! itself.
+//! Comparison of a map with the true map: false walls, missed walls, false free space; and quality measures without a true map.
 //!
 //! Distances are from the centre of an occupied cell to that of the nearest one of the other map (J. Santos, D. Portugal, R. Rocha: An
-//! evaluation of 2D SLAM techniques available in Robot Operating System, SSRR 2013); two maps of 5 cm cells that are the same but for
-//! where their cells begin are about 2 cm apart. Occupied cells, corners and enclosed areas tell of double walls without any truth (A.
-//! Filatov et al.: 2D SLAM quality evaluation methods, FRUCT 2017).
+//! evaluation of 2D SLAM techniques available in Robot Operating System, SSRR 2013); two identical maps with cells of 5 cm and
+//! different origins are about 2 cm apart. The numbers of occupied cells, corners and enclosed areas reveal double walls without a true map
+//! (A. Filatov et al.: 2D SLAM quality evaluation methods, FRUCT 2017).
 
 use std::fmt;
 
@@ -18,21 +17,21 @@ use crate::geometry::{Point, Pose2, RigidTransform};
 use crate::map::grid::{Cell, OccupancyGrid};
 use crate::quantile;
 
-/// A distance above this counts as an error, m.
-pub const FAR: f64 = 0.1;
-/// Walls count as seen where free space was seen this near, m.
-const BESIDE: f64 = 0.15;
+/// Distances above this count as errors, m.
+pub const MAX_WALL_ERROR: f64 = 0.1;
+/// A true wall counts as visible if the map has a free cell within this distance, m.
+const VISIBLE_DISTANCE: f64 = 0.15;
 
-/// Distances from one map's occupied cells to another's.
+/// Distances from the occupied cells of one map to those of another.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Distances {
-    /// How many.
+    /// Number of cells.
     pub count: usize,
     /// Mean, m.
     pub mean_m: f64,
-    /// That so many of a hundred do not exceed, m.
+    /// 95th percentile, m.
     pub p95_m: f64,
-    /// Part that is above [`FAR`].
+    /// Fraction above [`MAX_WALL_ERROR`].
     pub over_10_cm: f64,
 }
 
@@ -44,63 +43,63 @@ impl Distances {
             count,
             mean_m: distances.iter().sum::<f64>() / count as f64,
             p95_m: quantile::of_sorted(&distances, 0.95)?,
-            over_10_cm: distances.iter().filter(|&&distance| distance > FAR).count() as f64 / count as f64,
+            over_10_cm: distances.iter().filter(|&&distance| distance > MAX_WALL_ERROR).count() as f64 / count as f64,
         })
     }
 }
 
-/// What a map shows without a true one.
+/// Quality measures of a map that need no true map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Shape {
-    /// Part of the known cells that is occupied.
+    /// Fraction of the known cells that are occupied.
     pub occupied: f64,
-    /// Corners of what is occupied (Harris and Stephens 1988).
+    /// Number of corners of the walls (Harris and Stephens 1988).
     pub corners: usize,
-    /// Areas that occupied cells enclose.
+    /// Number of areas enclosed by occupied cells.
     pub enclosed_areas: usize,
 }
 
-/// What a comparison has found.
+/// Results of a map comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapComparison {
-    /// Takes the map to the truth.
+    /// Transforms the map to the frame of the truth.
     pub truth_from_map: Pose2,
-    /// From what the map says to the nearest true wall; `None` where it says that there is nothing.
+    /// Distances from the map's occupied cells to the nearest true wall; `None` if one of the maps has no walls.
     pub to_truth: Option<Distances>,
-    /// From the true walls that could be seen to the nearest one of the map.
+    /// Distances from the visible true walls to the nearest occupied cell of the map; `None` if there are none.
     pub to_map: Option<Distances>,
-    /// Part of the map's free cells where truly no wall is.
+    /// Fraction of the map's free cells that contain no true wall.
     pub truly_free: f64,
-    /// Of the map.
+    /// Shape of the map.
     pub shape: Shape,
-    /// Of the truth.
+    /// Shape of the true map.
     pub true_shape: Shape,
 }
 
 impl MapComparison {
-    /// Compares a map with the true one, which has its frame; or, with `align`, one that has any other.
+    /// Compares a map with the true map. Both must have the same frame, unless `align` is set.
     ///
-    /// The map can miss the walls that rays `met`, by the numbers of their cells in the truth; where that is not known, those that it says it
-    /// is free beside.
-    pub fn new(map: &OccupancyGrid, truth: &OccupancyGrid, align: bool, met: Option<&[bool]>) -> Self {
+    /// `hit` marks the cells of the truth that rays have hit: only these walls can be missed. Without it, the walls near free cells of
+    /// the map count as visible.
+    pub fn new(map: &OccupancyGrid, truth: &OccupancyGrid, align: bool, hit: Option<&[bool]>) -> Self {
         let (walls, true_walls) = (centres(map, Cell::Occupied), centres(truth, Cell::Occupied));
         let truth_from_map = if align { alignment(&walls, truth) } else { Pose2::IDENTITY };
         let transform = truth_from_map.transform();
         let moved = |points: Vec<Point>| points.into_iter().map(|point| transform.apply(point)).collect::<Vec<_>>();
         let (walls, free) = (moved(walls), moved(centres(map, Cell::Free)));
-        let is_wall = |point: &Point| at(truth, point) == Some(Cell::Occupied);
-        let seen = met.map_or_else(|| seen_walls(truth, map, &transform), |met| walls_met(truth, met));
+        let is_wall = |point: &Point| cell_at(truth, point) == Some(Cell::Occupied);
+        let visible = hit.map_or_else(|| visible_walls(truth, map, &transform), |hit| walls_hit(truth, hit));
         Self {
             truth_from_map,
             to_truth: Distances::of(distances(&walls, &true_walls)),
-            to_map: Distances::of(distances(&seen, &walls)),
+            to_map: Distances::of(distances(&visible, &walls)),
             truly_free: 1.0 - free.iter().filter(|point| is_wall(point)).count() as f64 / free.len().max(1) as f64,
             shape: Shape::of(map),
             true_shape: Shape::of(truth),
         }
     }
 
-    /// One object.
+    /// The results as one JSON object.
     pub fn to_json(&self) -> Value {
         let Pose2 { x, y, theta } = self.truth_from_map;
         json!({
@@ -114,7 +113,7 @@ impl MapComparison {
     }
 }
 
-/// The tables for people.
+/// The results as tables.
 impl fmt::Display for MapComparison {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let table = |header: [&str; 5]| {
@@ -136,7 +135,7 @@ impl fmt::Display for MapComparison {
                 walls.add_row([name.into(), count.to_string(), mean, p95, over]);
             }
         }
-        let mut shapes = table(["of", "truly free", "occupied", "corners", "enclosed areas"]);
+        let mut shapes = table(["of", "free cells correct", "occupied", "corners", "enclosed areas"]);
         let free = format!("{:.3} %", 100.0 * self.truly_free);
         for (name, free, shape) in [("the map", free.as_str(), self.shape), ("the truth", "", self.true_shape)] {
             let occupied = format!("{:.2} %", 100.0 * shape.occupied);
@@ -151,47 +150,47 @@ impl fmt::Display for MapComparison {
     }
 }
 
-/// Centres of all cells of a kind, m.
+/// Centres of all cells of a kind, in the map frame.
 fn centres(map: &OccupancyGrid, kind: Cell) -> Vec<Point> {
     let cells = map.cells().iter().enumerate().filter(|(_, cell)| **cell == kind);
     cells.map(|(i, _)| map.centre(i % map.width(), i / map.width())).collect()
 }
 
 #[allow(clippy::cast_possible_truncation)] // saturates
-fn at(map: &OccupancyGrid, point: &Point) -> Option<Cell> {
+fn cell_at(map: &OccupancyGrid, point: &Point) -> Option<Cell> {
     let place = map.coordinates(*point);
     map.cell(place.x.floor() as i64, place.y.floor() as i64)
 }
 
-/// True walls that rays met.
-fn walls_met(truth: &OccupancyGrid, met: &[bool]) -> Vec<Point> {
-    let walls = truth.cells().iter().zip(met).enumerate().filter(|(_, (cell, met))| **cell == Cell::Occupied && **met);
+/// Centres of the true walls that rays have hit.
+fn walls_hit(truth: &OccupancyGrid, hit: &[bool]) -> Vec<Point> {
+    let walls = truth.cells().iter().zip(hit).enumerate().filter(|(_, (cell, hit))| **cell == Cell::Occupied && **hit);
     walls.map(|(i, _)| truth.centre(i % truth.width(), i / truth.width())).collect()
 }
 
-/// True walls beside which the map says it is free.
+/// Centres of the true walls near free cells of the map.
 #[allow(clippy::cast_possible_truncation)] // a few cells
-fn seen_walls(truth: &OccupancyGrid, map: &OccupancyGrid, truth_from_map: &RigidTransform) -> Vec<Point> {
+fn visible_walls(truth: &OccupancyGrid, map: &OccupancyGrid, truth_from_map: &RigidTransform) -> Vec<Point> {
     let inverse = |p: &Point| {
         let offset = p - truth_from_map.apply(Point::zeros());
         let axis = truth_from_map.rotate(Point::x());
         Point::new(axis.dot(&offset), axis.perp(&offset))
     };
-    let reach = (BESIDE / map.resolution()).ceil() as i64;
+    let reach = (VISIBLE_DISTANCE / map.resolution()).ceil() as i64;
     let around: Vec<Point> = (-reach..=reach)
         .flat_map(|x| (-reach..=reach).map(move |y| Point::new(x as f64, y as f64) * map.resolution()))
-        .filter(|offset| offset.norm() <= BESIDE)
+        .filter(|offset| offset.norm() <= VISIBLE_DISTANCE)
         .collect();
-    // The inside of walls is never seen.
-    let is_side = |wall: &Point| {
+    // The inside of walls is never visible.
+    let is_surface = |wall: &Point| {
         let beside = [Point::x(), -Point::x(), Point::y(), -Point::y()].map(|step| wall + step * truth.resolution());
-        beside.iter().any(|place| at(truth, place) != Some(Cell::Occupied))
+        beside.iter().any(|place| cell_at(truth, place) != Some(Cell::Occupied))
     };
     let mut walls = centres(truth, Cell::Occupied);
-    walls.retain(is_side);
+    walls.retain(is_surface);
     walls.retain(|wall| {
         let place = inverse(wall);
-        around.iter().any(|offset| at(map, &(place + offset)) == Some(Cell::Free))
+        around.iter().any(|offset| cell_at(map, &(place + offset)) == Some(Cell::Free))
     });
     walls
 }
@@ -201,7 +200,7 @@ fn tree(points: &[Point]) -> Option<ImmutableKdTree<f64, 2>> {
     ImmutableKdTree::new_from_slice(&points).ok().filter(|_| !points.is_empty())
 }
 
-/// From each point to the nearest of the others, m; none where there are no others.
+/// Distance from each point to the nearest of the others, m; empty if there are no others.
 fn distances(points: &[Point], others: &[Point]) -> Vec<f64> {
     let Some(tree) = tree(others) else { return Vec::new() };
     let nearest = |p: &Point| tree.query(&[p.x, p.y]).nearest_one::<SquaredEuclidean<f64>>().execute();
@@ -209,7 +208,7 @@ fn distances(points: &[Point], others: &[Point]) -> Vec<f64> {
 }
 
 impl Shape {
-    /// Of a map.
+    /// Computes the measures of a map.
     pub fn of(map: &OccupancyGrid) -> Self {
         let count = |kind: Cell| map.cells().iter().filter(|cell| **cell == kind).count();
         let (occupied, free) = (count(Cell::Occupied), count(Cell::Free));
@@ -222,16 +221,17 @@ impl Shape {
     }
 }
 
-/// What is occupied, with three cells of nothing all around.
+/// The occupied cells, with an empty margin.
 struct Walls {
     width: usize,
     cells: Vec<bool>,
 }
 
 impl Walls {
+    /// Width of the margin, cells.
     const MARGIN: usize = 3;
-    /// Harris and Stephens' measure must be above this for a corner: half of what a right angle of two thin walls has.
-    const CORNER: f64 = 2.0;
+    /// Minimum response of Harris and Stephens' corner detector: half of that of a right angle of two thin walls.
+    const MIN_CORNER_RESPONSE: f64 = 2.0;
 
     fn of(map: &OccupancyGrid) -> Self {
         let width = map.width() + 2 * Self::MARGIN;
@@ -242,7 +242,7 @@ impl Walls {
         Self { width, cells }
     }
 
-    /// Places where walls turn: greatest of Harris' measure within a cell around.
+    /// Number of corners: local maxima of the Harris response.
     fn corners(&self) -> usize {
         let w = self.width;
         let inside = |margin: usize| {
@@ -250,24 +250,24 @@ impl Walls {
             rows.flat_map(move |row| (margin..w - margin).map(move |column| row * w + column))
         };
         let value = |i: usize| f64::from(u8::from(self.cells[i]));
-        let mut slopes = vec![[0.0; 2]; self.cells.len()];
-        inside(1).for_each(|i| slopes[i] = [0.5 * (value(i + 1) - value(i - 1)), 0.5 * (value(i + w) - value(i - w))]);
-        let mut measure = vec![0.0; self.cells.len()];
+        let mut gradients = vec![[0.0; 2]; self.cells.len()];
+        inside(1).for_each(|i| gradients[i] = [0.5 * (value(i + 1) - value(i - 1)), 0.5 * (value(i + w) - value(i - w))]);
+        let mut response = vec![0.0; self.cells.len()];
         for i in inside(3) {
             let mut sums = [0.0; 3];
             for j in (0..5).flat_map(|row| (0..5).map(move |column| i + row * w + column - 2 * w - 2)) {
-                let [x, y] = slopes[j];
+                let [x, y] = gradients[j];
                 sums = [sums[0] + x * x, sums[1] + x * y, sums[2] + y * y];
             }
             let [xx, xy, yy] = sums;
-            measure[i] = xx * yy - xy * xy - 0.05 * (xx + yy).powi(2);
+            response[i] = xx * yy - xy * xy - 0.05 * (xx + yy).powi(2);
         }
         let around = [1, w - 1, w, w + 1];
-        let is_greatest = |i: usize| around.iter().all(|&by| measure[i] > measure[i - by] && measure[i] >= measure[i + by]);
-        inside(3).filter(|&i| measure[i] > Self::CORNER && is_greatest(i)).count()
+        let is_maximum = |i: usize| around.iter().all(|&by| response[i] > response[i - by] && response[i] >= response[i + by]);
+        inside(3).filter(|&i| response[i] > Self::MIN_CORNER_RESPONSE && is_maximum(i)).count()
     }
 
-    /// What cannot be reached from outside, sideways and up and down, without crossing what is occupied.
+    /// Number of areas that are not 4-connected to the outside.
     fn enclosed_areas(&self) -> usize {
         let mut seen = self.cells.clone();
         let mut areas = 0;
@@ -295,7 +295,8 @@ impl Walls {
 mod tests {
     use super::*;
 
-    /// A room of 8 m x 6 m with walls of a cell, its lower left corner at (1, 1); `shift`: of one wall, m. Seen from inside, if so.
+    /// A room of 8 m x 6 m with walls one cell thick and its lower left corner at (1, 1). `shift`: displacement of one wall, m;
+    /// `is_seen`: mapped from inside, with unknown cells outside.
     fn room(origin: Pose2, shift: f64, is_seen: bool) -> OccupancyGrid {
         let cell = |i: usize| {
             let (x, y) = (0.05 * (i % 200) as f64 + 0.025, 0.05 * (i / 200) as f64 + 0.025);
@@ -312,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn a_map_is_like_itself() {
+    fn identical_maps_have_no_errors() {
         let truth = room(Pose2::IDENTITY, 0.0, false);
         let found = MapComparison::new(&room(Pose2::IDENTITY, 0.0, true), &truth, false, None);
         let (to_truth, to_map) = (found.to_truth.unwrap(), found.to_map.unwrap());
@@ -326,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_that_is_off_is_told_both_ways() {
+    fn a_displaced_wall_counts_in_both_directions() {
         let truth = room(Pose2::IDENTITY, 0.0, false);
         let found = MapComparison::new(&room(Pose2::IDENTITY, 0.3, true), &truth, false, None);
         let (to_truth, to_map) = (found.to_truth.unwrap(), found.to_map.unwrap());
@@ -335,24 +336,24 @@ mod tests {
     }
 
     #[test]
-    fn walls_that_no_ray_met_are_not_missed() {
+    fn walls_that_no_ray_hit_are_not_missed() {
         let (truth, map) = (room(Pose2::IDENTITY, 0.0, false), room(Pose2::IDENTITY, 0.3, true));
-        let over = |met: &dyn Fn(usize) -> bool| {
-            let met: Vec<bool> = (0..truth.cells().len()).map(met).collect();
-            let found = MapComparison::new(&map, &truth, false, Some(&met)).to_map.unwrap();
+        let over = |hit: &dyn Fn(usize) -> bool| {
+            let hit: Vec<bool> = (0..truth.cells().len()).map(hit).collect();
+            let found = MapComparison::new(&map, &truth, false, Some(&hit)).to_map.unwrap();
             (found.count, found.over_10_cm)
         };
-        // All but the right wall, which the map has 0.3 m farther off; then all.
+        // First all walls except the right one, which is displaced by 0.3 m in the map; then all.
         assert_eq!(over(&|i| i % 200 < 178), (434, 0.0));
         assert_eq!(over(&|_| true).0, 556);
         assert!(over(&|_| true).1 > 0.15);
     }
 
     #[test]
-    fn a_map_from_elsewhere_is_laid_on_the_truth() {
-        let (truth, away) = (room(Pose2::IDENTITY, 0.0, false), Pose2::new(0.6, -0.4, 0.08));
-        let found = MapComparison::new(&room(away, 0.0, true), &truth, true, None);
-        let back = found.truth_from_map * away;
+    fn a_map_with_another_frame_is_aligned() {
+        let (truth, map_frame) = (room(Pose2::IDENTITY, 0.0, false), Pose2::new(0.6, -0.4, 0.08));
+        let found = MapComparison::new(&room(map_frame, 0.0, true), &truth, true, None);
+        let back = found.truth_from_map * map_frame;
         assert!(back.distance() < 0.02 && back.theta.abs() < 0.003, "{back:?}");
         assert!(found.to_truth.unwrap().mean_m < 0.01 && found.to_json()["free_truly_free"].as_f64().unwrap() > 0.99);
     }

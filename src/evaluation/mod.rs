@@ -1,8 +1,8 @@
-//! Trajectories against truth: ATE, RPE, relations; plots. Maps against the true map.
+//! Evaluation of trajectories against ground truth (ATE, RPE, relations), of maps against a true map, and plots.
 //!
-//! [`trajectory`] and [`association`] bring the poses together, [`ate`], [`rpe`] and [`relations`] are the three metrics, each a
-//! set of pose errors that [`statistics`] sums up, [`consistency`] is whether covariances hold; `map_alignment` lays a
-//! map on the true one, for `map_comparison`; [`report`] is all of it for people and machines, [`plot`] the picture.
+//! [`trajectory`] and [`association`] pair the poses by their stamps. [`ate`], [`rpe`] and [`relations`] are the three metrics; each
+//! yields pose errors, which [`statistics`] summarizes. [`consistency`] checks covariances. `map_alignment` aligns a map with the true
+//! one, for `map_comparison`. [`report`] formats the results as text and JSON, and [`plot`] draws them.
 
 pub mod association;
 pub mod ate;

@@ -1,4 +1,4 @@
-//! The relations metric: errors of motions that are known well, wherever the trajectory as a whole has gone.
+//! The relations metric: errors of relative motions whose true values are known, independent of the trajectory's global error.
 //!
 //! R. Kuemmerle, B. Steder, C. Dornhege, M. Ruhnke, G. Grisetti, C. Stachniss, A. Kleiner: On measuring the accuracy of SLAM
 //! algorithms, Autonomous Robots 27, 2009.
@@ -8,48 +8,48 @@ use super::trajectory::Trajectory;
 use crate::geometry::Pose2;
 use crate::time::Stamp;
 
-/// Relations up to this many seconds tell of the local drift, longer ones of closed loops.
+/// Maximum duration of a short relation, s. Short relations measure the local drift, long ones the loop closures.
 pub const SHORT_S: f64 = 10.0;
 
-/// A true motion between two moments.
+/// The true motion between two stamps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Relation {
-    /// When it starts.
+    /// Start of the motion.
     pub from: Stamp,
-    /// When it ends.
+    /// End of the motion.
     pub to: Stamp,
-    /// Pose of the robot at `to` seen from the robot at `from`.
+    /// Pose of the robot at `to`, in the frame of the robot at `from`.
     pub motion: Pose2,
 }
 
-/// Errors over relations.
+/// Errors of the relations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelationErrors {
-    /// Relations with a stamp further than the tolerance from any pose; they count like the others.
+    /// Number of relations with a stamp further than the tolerance from any pose. Their errors are included.
     pub beyond_max_dt: usize,
-    /// Errors over all relations.
+    /// Errors of all relations.
     pub all: PoseErrors,
-    /// Errors over those of up to [`SHORT_S`].
+    /// Errors of the relations up to [`SHORT_S`].
     pub short: Option<PoseErrors>,
-    /// Errors over the longer ones.
+    /// Errors of the longer relations.
     pub long: Option<PoseErrors>,
 }
 
 impl RelationErrors {
-    /// Whether no relation has poses near both of its stamps: the figures tell nothing.
-    pub fn none_met(&self) -> bool {
+    /// Whether no relation has poses near both of its stamps. The errors are then meaningless.
+    pub fn all_beyond_max_dt(&self) -> bool {
         self.beyond_max_dt == self.all.count
     }
 }
 
-/// The errors of `trajectory` over `relations`; `None` when there are none.
+/// Computes the errors of `trajectory` for `relations`; `None` if there are no relations.
 ///
-/// As in the authors' own program a relation's stamp takes the nearest pose, however far. Those further than `max_dt` seconds are
-/// counted: when they are many, the figures tell of the trajectory's gaps.
+/// As in the authors' own program, each stamp uses the nearest pose, however far away. Relations with a pose further away than `max_dt`
+/// seconds are counted: if there are many, the errors reflect the gaps of the trajectory.
 pub fn relation_errors(trajectory: &Trajectory, relations: &[Relation], max_dt: f64) -> Option<RelationErrors> {
     let far = |stamp: Stamp| trajectory.nearest(stamp).stamp.seconds_since(stamp).abs() > max_dt;
-    let errors_of = |chosen: &dyn Fn(&Relation) -> bool| {
-        let errors: Vec<_> = relations.iter().filter(|r| chosen(r)).map(|r| relation_error(trajectory, r)).collect();
+    let errors_of = |is_selected: &dyn Fn(&Relation) -> bool| {
+        let errors: Vec<_> = relations.iter().filter(|r| is_selected(r)).map(|r| relation_error(trajectory, r)).collect();
         PoseErrors::of(&errors)
     };
     let is_short = |r: &Relation| r.to.seconds_since(r.from).abs() <= SHORT_S;
@@ -61,7 +61,7 @@ pub fn relation_errors(trajectory: &Trajectory, relations: &[Relation], max_dt: 
     })
 }
 
-/// The estimated motion seen from the true one: its norms are the paper's trans(d - d*) and rot(d - d*).
+/// The estimated motion relative to the true one; its norms are the paper's trans(d - d*) and rot(d - d*).
 fn relation_error(trajectory: &Trajectory, relation: &Relation) -> Pose2 {
     let motion = trajectory.nearest(relation.from).pose.between(&trajectory.nearest(relation.to).pose);
     relation.motion.between(&motion)

@@ -1,4 +1,4 @@
-//! The quality of a trajectory, as text and as JSON.
+//! Report of the trajectory errors, as text and as JSON.
 
 use std::fmt;
 
@@ -12,12 +12,12 @@ use super::statistics::PoseErrors;
 use super::trajectory::Trajectory;
 use crate::text_table::TextTable;
 
-/// How a trajectory is compared.
+/// Parameters of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Comparison {
-    /// Poses further apart than this do not belong together, s.
+    /// Maximum time difference of associated poses, s.
     pub max_dt: f64,
-    /// Length of path over which drift is measured, m.
+    /// Path length over which drift is measured (RPE), m.
     pub rpe_distance: f64,
 }
 
@@ -27,26 +27,26 @@ impl Default for Comparison {
     }
 }
 
-/// What a comparison has found.
+/// Results of a comparison.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
     comparison: Comparison,
-    /// Poses of the estimate.
+    /// Number of estimated poses.
     pub poses: usize,
-    /// Those that have a true pose at their stamp.
+    /// Number of estimated poses with a true pose.
     pub matched: usize,
-    /// Absolute error; `None` without truth.
+    /// Absolute trajectory error; `None` without truth.
     pub ate: Option<Ate>,
-    /// Drift over [`Comparison::rpe_distance`]; `None` without truth or when it is shorter.
+    /// Relative pose error over [`Comparison::rpe_distance`]; `None` without truth, or if the true path is shorter.
     pub rpe: Option<PoseErrors>,
-    /// Errors over the relations; `None` without.
+    /// Errors of the relations; `None` without relations.
     pub relations: Option<RelationErrors>,
-    /// Warnings: what limits the figures.
+    /// Warnings about the input that limit the validity of the errors.
     pub warnings: Vec<String>,
 }
 
 impl Report {
-    /// Compares `estimate` with all the truth there is.
+    /// Compares `estimate` with the truth and the relations, if given.
     pub fn new(
         estimate: &Trajectory,
         truth: Option<&Trajectory>,
@@ -64,11 +64,11 @@ impl Report {
             relations: relations.and_then(|relations| relation_errors(estimate, relations, max_dt)),
             warnings: Vec::new(),
         };
-        report.warnings = report.reservations(estimate);
+        report.warnings = report.input_warnings(estimate);
         Ok(report)
     }
 
-    fn reservations(&self, estimate: &Trajectory) -> Vec<String> {
+    fn input_warnings(&self, estimate: &Trajectory) -> Vec<String> {
         let Comparison { max_dt, rpe_distance } = self.comparison;
         let mut warnings = Vec::new();
         let mut warn = |applies: bool, text: String| {
@@ -77,7 +77,7 @@ impl Report {
             }
         };
         let (steps_back, duplicates) = (estimate.steps_back(), estimate.duplicates());
-        warn(steps_back > 0, format!("{steps_back} stamps of the trajectory go back: its poses were sorted"));
+        warn(steps_back > 0, format!("{steps_back} stamps of the trajectory go back in time: its poses were sorted"));
         warn(duplicates > 0, format!("{duplicates} poses repeat a stamp: the first pose of each stamp was used"));
         if self.ate.is_some() {
             let unmatched = self.poses - self.matched;
@@ -92,7 +92,7 @@ impl Report {
         warnings
     }
 
-    /// One object; missing figures are `null`.
+    /// The report as one JSON object; missing values are `null`.
     pub fn to_json(&self) -> Value {
         let distance = self.comparison.rpe_distance;
         let relations = self.relations.map(|r| {
@@ -127,7 +127,7 @@ impl Report {
     }
 }
 
-/// The table for people, then the warnings.
+/// The table, then the warnings.
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.to_text(None))
@@ -135,7 +135,7 @@ impl fmt::Display for Report {
 }
 
 impl Report {
-    /// The text for a terminal of so many columns; `None`: as wide as it gets.
+    /// The text for a terminal with `width` columns; `None`: unlimited width.
     pub fn to_text(&self, width: Option<usize>) -> String {
         let mut rows = Vec::new();
         for (name, errors) in self.rows() {

@@ -1,15 +1,15 @@
-//! Relative pose error: how far the estimate drifts over a given distance of travel.
+//! Relative pose error (RPE): the drift of the estimate over a given path length.
 //!
 //! J. Sturm, N. Engelhard, F. Endres, W. Burgard, D. Cremers: A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012;
-//! over distance, not time, so that standing still does not make an estimate look good.
+//! here over distance, not time, so that standing still does not improve the result.
 
 use super::association::MatchedPose;
 use super::statistics::PoseErrors;
 
-/// The relative pose error per `distance` metres of the truth's path; `None` when the path is shorter.
+/// Computes the relative pose error over `distance` metres of the true path; `None` if the path is shorter.
 ///
-/// Every matched pose starts one motion, which ends at the first pose at least `distance` further along the true path. The error
-/// is that of the whole motion: it is not divided by the distance.
+/// Every matched pose starts one motion, which ends at the first pose at least `distance` further along the true path. The error of the
+/// whole motion counts; it is not divided by the distance.
 pub fn rpe(matched: &[MatchedPose], distance: f64) -> Option<PoseErrors> {
     let travelled = travelled(matched);
     let mut errors = Vec::new();
@@ -46,8 +46,8 @@ mod tests {
     use crate::geometry::Pose2;
     use crate::time::Stamp;
 
-    /// Truth in steps of 0.5 m along x, an estimate whose steps are 0.6 m: 0.2 m per metre, whatever the start.
-    fn stretched(poses: usize) -> Vec<MatchedPose> {
+    /// Truth in steps of 0.5 m along x, and an estimate with steps of 0.6 m: an error of 0.2 m per metre from any start.
+    fn scaled_path(poses: usize) -> Vec<MatchedPose> {
         (0..poses)
             .map(|i| MatchedPose {
                 stamp: Stamp::default(),
@@ -58,18 +58,18 @@ mod tests {
     }
 
     #[test]
-    fn of_a_stretched_path_by_hand() {
-        let errors = rpe(&stretched(7), 1.0).unwrap();
-        assert_eq!(errors.count, 5); // the last two poses have no metre ahead of them
+    fn rpe_of_a_scaled_path_matches_hand_calculation() {
+        let errors = rpe(&scaled_path(7), 1.0).unwrap();
+        assert_eq!(errors.count, 5); // the last two poses have less than a metre left
         assert!((errors.trans_m.rmse - 0.2).abs() < 1e-12 && errors.trans_m.std < 1e-12);
         assert!(errors.rot_deg.max < 1e-12);
-        assert!((rpe(&stretched(7), 2.0).unwrap().trans_m.rmse - 0.4).abs() < 1e-12);
+        assert!((rpe(&scaled_path(7), 2.0).unwrap().trans_m.rmse - 0.4).abs() < 1e-12);
     }
 
-    /// One metre straight while the estimate turns by 90 degrees on the way: it ends at (0.5, 0.5) instead of (1, 0).
+    /// One metre straight, but the estimate rotates by 90 degrees and ends at (0.5, 0.5) instead of (1, 0).
     #[test]
-    fn of_a_wrong_turn_by_hand() {
-        let mut matched = stretched(3);
+    fn rpe_of_a_wrong_rotation_matches_hand_calculation() {
+        let mut matched = scaled_path(3);
         matched[0].estimate = Pose2::IDENTITY;
         matched[2].estimate = Pose2::new(0.5, 0.5, std::f64::consts::FRAC_PI_2);
         let errors = rpe(&matched, 1.0).unwrap();
@@ -79,8 +79,8 @@ mod tests {
     }
 
     #[test]
-    fn of_a_path_too_short_is_nothing() {
-        assert_eq!(rpe(&stretched(7), 3.1), None);
+    fn short_paths_have_no_rpe() {
+        assert_eq!(rpe(&scaled_path(7), 3.1), None);
         assert_eq!(rpe(&[], 1.0), None);
     }
 }

@@ -1,4 +1,4 @@
-//! What a set of errors comes to.
+//! Statistics of errors.
 
 use serde::Serialize;
 
@@ -11,16 +11,16 @@ pub struct Statistics {
     pub mean: f64,
     /// Sample standard deviation (N - 1); 0 for a single error.
     pub std: f64,
-    /// Median; of an even number the mean of the middle two.
+    /// Median; for an even count, the mean of the middle two.
     pub median: f64,
-    /// Root of the mean square.
+    /// Root mean square.
     pub rmse: f64,
-    /// Largest.
+    /// Maximum.
     pub max: f64,
 }
 
 impl Statistics {
-    /// The statistics of `errors`, `None` when there are none.
+    /// Computes the statistics of `errors`; `None` if there are none.
     pub fn of(mut errors: Vec<f64>) -> Option<Self> {
         errors.sort_by(f64::total_cmp);
         let count = errors.len() as f64;
@@ -42,14 +42,14 @@ impl Statistics {
 pub struct PoseErrors {
     /// Number of errors.
     pub count: usize,
-    /// Length of the translational parts, m.
+    /// Translation errors, m.
     pub trans_m: Statistics,
-    /// Size of the rotations, degrees.
+    /// Absolute rotation errors, degrees.
     pub rot_deg: Statistics,
 }
 
 impl PoseErrors {
-    /// Each error is the pose of what was estimated seen from what it should be; `None` when there are none.
+    /// Each error is the estimated pose in the frame of the true one. `None` if there are no errors.
     pub fn of(errors: &[Pose2]) -> Option<Self> {
         Some(Self {
             count: errors.len(),
@@ -65,14 +65,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_three_numbers_by_hand() {
+    fn statistics_of_three_numbers_match_hand_calculation() {
         let s = Statistics::of(vec![3.0, 1.0, 2.0]).unwrap();
         assert_eq!((s.mean, s.std, s.median, s.max), (2.0, 1.0, 2.0, 3.0));
         assert!((s.rmse - (14.0_f64 / 3.0).sqrt()).abs() < 1e-15);
     }
 
     #[test]
-    fn of_one_two_and_no_numbers() {
+    fn one_two_and_no_numbers_are_handled() {
         let one = Statistics::of(vec![5.0]).unwrap();
         assert_eq!((one.mean, one.std, one.median, one.rmse, one.max), (5.0, 0.0, 5.0, 5.0, 5.0));
         assert_eq!(Statistics::of(vec![1.0, 4.0]).unwrap().median, 2.5);

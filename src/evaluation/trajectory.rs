@@ -1,34 +1,34 @@
-//! A trajectory: poses in the order of their stamps.
+//! Trajectories: poses in the order of their stamps.
 
 use thiserror::Error;
 
 use crate::geometry::Pose2;
 use crate::time::Stamp;
 
-/// A pose and the time at which it was taken.
+/// A pose with its stamp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StampedPose {
-    /// When.
+    /// Time of the pose.
     pub stamp: Stamp,
-    /// Where.
+    /// The pose.
     pub pose: Pose2,
 }
 
-/// Why poses do not make a trajectory.
+/// Why poses are no valid trajectory.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum TrajectoryError {
     /// There is no pose.
     #[error("there is no pose")]
     Empty,
-    /// A pose has a NaN or infinite number.
+    /// A pose contains NaN or an infinite number.
     #[error("the pose at {stamp} s is not finite")]
     NotFinite {
-        /// Its stamp.
+        /// Stamp of the pose.
         stamp: Stamp,
     },
 }
 
-/// At least one pose; all finite; stamps strictly increasing.
+/// A trajectory: at least one pose, all finite, with strictly increasing stamps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     poses: Vec<StampedPose>,
@@ -37,9 +37,8 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// Sorts the poses by stamp and keeps the first of those that share one. Both happen in good logs (a scan that was sent
-    /// twice, a log merged from two), so neither is an error; but they are counted, for a bag that was played in a loop looks the
-    /// same.
+    /// Sorts the poses by stamp, and keeps the first pose of each stamp. Unsorted and duplicate stamps occur in good logs (a scan sent
+    /// twice, merged logs), so neither is an error. Both are counted, because a bag played in a loop looks the same.
     pub fn new(mut poses: Vec<StampedPose>) -> Result<Self, TrajectoryError> {
         if let Some(bad) = poses.iter().find(|p| !p.pose.is_finite()) {
             return Err(TrajectoryError::NotFinite { stamp: bad.stamp });
@@ -55,17 +54,17 @@ impl Trajectory {
         Ok(Self { poses, steps_back, duplicates })
     }
 
-    /// The poses, never none.
+    /// The poses; never empty.
     pub fn poses(&self) -> &[StampedPose] {
         &self.poses
     }
 
-    /// How often a pose was given after one with a later stamp.
+    /// Number of input poses with an earlier stamp than the pose before.
     pub fn steps_back(&self) -> usize {
         self.steps_back
     }
 
-    /// Poses dropped because an earlier one has the same stamp.
+    /// Number of poses dropped because an earlier one has the same stamp.
     pub fn duplicates(&self) -> usize {
         self.duplicates
     }
@@ -75,7 +74,7 @@ impl Trajectory {
         (&self.poses[0], &self.poses[self.poses.len() - 1])
     }
 
-    /// The pose nearest to `stamp`; of two equally near ones the earlier.
+    /// The pose nearest in time to `stamp`; the earlier one of two equally near ones.
     pub fn nearest(&self, stamp: Stamp) -> &StampedPose {
         let next = self.poses.partition_point(|p| p.stamp < stamp);
         let neighbours = self.poses[next.saturating_sub(1)..].iter().take(2);
@@ -83,7 +82,7 @@ impl Trajectory {
         nearest.unwrap_or(&self.poses[0])
     }
 
-    /// The pose at `stamp`, on the way between its neighbours; `None` outside the trajectory.
+    /// The pose interpolated to `stamp`; `None` outside the trajectory.
     pub fn interpolated(&self, stamp: Stamp) -> Option<Pose2> {
         let next = self.poses.partition_point(|p| p.stamp < stamp);
         let after = self.poses.get(next)?;
@@ -118,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_nothing_and_nan() {
+    fn rejects_empty_trajectories_and_nan() {
         assert_eq!(Trajectory::new(vec![]), Err(TrajectoryError::Empty));
         let mut poses = along_x(&[1, 2]);
         poses[1].pose.theta = f64::NAN;
@@ -126,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn nearest_is_the_earlier_of_two_equally_near() {
+    fn nearest_prefers_the_earlier_of_two_equally_near_poses() {
         let trajectory = Trajectory::new(along_x(&[10, 20, 30])).unwrap();
         let nearest = |ns| trajectory.nearest(Stamp::from_nanoseconds(ns)).stamp.nanoseconds();
         assert_eq!([-5, 10, 14, 15, 16, 30, 99].map(nearest), [10, 10, 10, 10, 20, 30, 30]);
@@ -134,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn interpolates_within_and_not_beyond() {
+    fn interpolates_but_does_not_extrapolate() {
         let trajectory = Trajectory::new(along_x(&[10, 20])).unwrap();
         let x = |ns| trajectory.interpolated(Stamp::from_nanoseconds(ns)).map(|p| p.x);
         assert_eq!([9, 10, 15, 20, 21].map(x), [None, Some(10.0), Some(15.0), Some(20.0), None]);

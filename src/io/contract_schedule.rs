@@ -1,4 +1,4 @@
-//! Contracts over time as a CSV file: what a controller would have asked for, had it been there.
+//! A schedule of contracts, read from a CSV file: replaces the controller that would request them on the robot.
 
 use std::path::{Path, PathBuf};
 
@@ -8,22 +8,22 @@ use thiserror::Error;
 use crate::anytime::contract::{Contract, ContractError};
 use crate::knobs::{KnobValue, Seconds};
 
-/// Why a schedule is refused.
+/// Why a schedule is invalid.
 #[derive(Debug, Error)]
 pub enum ScheduleError {
-    /// The file cannot be read, or a line does not fit.
+    /// The file cannot be read, or a line is malformed.
     #[error(
-        "{}: {problem}; a schedule has the columns time, time_budget (s or text such as 5ms), translation_error_bound (m) and \
-         rotation_error_bound (rad), the last two optional",
+        "{}: {problem}; a schedule has the columns time (s), time_budget (s, or text such as 5ms), \
+         translation_error_bound (m, optional) and rotation_error_bound (rad, optional)",
         path.display()
     )]
     Table {
         /// The file.
         path: PathBuf,
-        /// What is wrong, with its line.
+        /// What is wrong, and in which line.
         problem: csv::Error,
     },
-    /// An invalid contract.
+    /// A line has an invalid contract.
     #[error("{}: line {line}: {problem}", path.display())]
     Contract {
         /// The file.
@@ -33,8 +33,8 @@ pub enum ScheduleError {
         /// What is wrong.
         problem: ContractError,
     },
-    /// A time is not a later one than that before.
-    #[error("{}: line {line}: time {time} is not a number of seconds beyond that of the line before", path.display())]
+    /// A time is not later than that of the line before.
+    #[error("{}: line {line}: time {time} must be a number of seconds greater than that of the line before", path.display())]
     Time {
         /// The file.
         path: PathBuf,
@@ -56,22 +56,22 @@ struct Row {
     rotation_error_bound: f64,
 }
 
-/// Which contract is in force from when on.
+/// Contracts, each in force from its start time until the next one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ContractSchedule {
-    /// By time since the first scan, s.
+    /// Start time, s after the first scan, and contract; sorted by time.
     steps: Vec<(f64, Contract)>,
 }
 
 impl ContractSchedule {
-    /// The contract in force `seconds` after the first scan; `None` before the first line.
+    /// The contract in force `seconds` after the first scan; `None` before that of the first line.
     pub fn at(&self, seconds: f64) -> Option<Contract> {
         let next = self.steps.partition_point(|(time, _)| *time <= seconds);
         self.steps[..next].last().map(|(_, contract)| *contract)
     }
 }
 
-/// Reads a schedule.
+/// Reads a schedule from a file.
 pub fn read(path: &Path) -> Result<ContractSchedule, ScheduleError> {
     let table = |problem| ScheduleError::Table { path: path.into(), problem };
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_path(path).map_err(table)?;
@@ -92,7 +92,7 @@ pub fn read(path: &Path) -> Result<ContractSchedule, ScheduleError> {
     Ok(schedule)
 }
 
-/// Seconds, as a number or with a unit; NaN for anything else, which no contract has.
+/// Parses a time budget: seconds, as a number or with a unit. Anything else gives NaN, which [`Contract::new`] rejects.
 fn budget(text: &str) -> f64 {
     Seconds::from_value(&text.into()).map_or(f64::NAN, |span| span.0)
 }
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn each_line_holds_until_the_next() {
+    fn each_contract_is_in_force_until_the_next() {
         let text =
             "time, time_budget, translation_error_bound, rotation_error_bound\n0,5ms,0,0\n# slower\n2.5, 0.01, 0.02, 0.1\n";
         let schedule = read_text(text).unwrap();
@@ -119,11 +119,11 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_named_by_their_line() {
+    fn errors_name_the_line() {
         let problem = |text: &str| read_text(text).unwrap_err().to_string();
         assert!(problem("time,time_budget\n0,5ms\n0,6ms\n").contains("line 3: time 0"));
         assert!(problem("time,time_budget\n0,soon\n").contains("line 2"));
-        assert!(problem("time,time_budget,bound\n0,5ms,1\n").contains("columns time, time_budget"));
+        assert!(problem("time,time_budget,bound\n0,5ms,1\n").contains("columns time (s), time_budget"));
         assert!(problem("time,time_budget\n0\n").contains("line"));
         assert!(read(Path::new("no/such.csv")).unwrap_err().to_string().contains("no/such.csv"));
     }

@@ -1,4 +1,4 @@
-//! Learned costs as a YAML file.
+//! Saves learned costs in a YAML file.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -12,27 +12,27 @@ use crate::output;
 /// Why costs cannot be read or written.
 #[derive(Debug, Error)]
 pub enum CostFileError {
-    /// The system refuses.
+    /// The operating system reported an error.
     #[error("cannot {action} the cost file {}: {problem}", path.display())]
     System {
-        /// What was tried.
+        /// The operation that failed.
         action: &'static str,
         /// The file.
         path: PathBuf,
-        /// The system's reason.
+        /// The error of the operating system.
         problem: io::Error,
     },
-    /// It holds something else.
-    #[error("{} is no cost file (delete it, it is made anew on exit): {problem}", path.display())]
+    /// The content is not a list of costs.
+    #[error("{} is not a cost file (delete it; a new one is written on exit): {problem}", path.display())]
     Content {
         /// The file.
         path: PathBuf,
-        /// What does not fit, with its line.
+        /// What is wrong, and in which line.
         problem: String,
     },
 }
 
-/// Loads the file into `costs`. Returns whether there is a file.
+/// Loads the file into `costs`. Returns whether the file exists.
 pub fn read(path: &Path, costs: &mut CostModel) -> Result<bool, CostFileError> {
     let text = match std::fs::read_to_string(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
@@ -40,11 +40,11 @@ pub fn read(path: &Path, costs: &mut CostModel) -> Result<bool, CostFileError> {
     };
     let content = |problem| CostFileError::Content { path: path.into(), problem };
     let entries: Vec<CostEntry> = yaml::from_str(&text).map_err(content)?;
-    costs.recall(&entries);
+    costs.restore(&entries);
     Ok(true)
 }
 
-/// Writes `costs`.
+/// Writes `costs` to the file.
 pub fn write(path: &Path, costs: &CostModel) -> Result<(), CostFileError> {
     let system = |problem| CostFileError::System { action: "write", path: path.into(), problem };
     let text = serde_saphyr::to_string(&costs.entries()).map_err(|error| system(io::Error::other(error.to_string())))?;
@@ -58,7 +58,7 @@ mod tests {
     use std::time::Duration;
 
     #[test]
-    fn costs_survive_in_a_file_and_other_files_are_refused() {
+    fn costs_are_saved_and_loaded_and_other_files_are_rejected() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("costs.yaml");
         let mut costs = CostModel::new(0.99);

@@ -1,4 +1,4 @@
-//! Images in shades of grey: PNG, and the PGM of the netpbm programs, plain (`P2`) and raw (`P5`).
+//! Greyscale images: PNG, and PGM (netpbm), plain (`P2`) and raw (`P5`).
 
 use std::fs;
 use std::io::{self, BufWriter, Cursor, Write};
@@ -6,7 +6,7 @@ use std::path::Path;
 
 const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
-/// Rows of pixels from the top left: 0 is black, 255 white.
+/// A greyscale image. Pixels are stored row by row from the top left; 0 is black, 255 white.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GrayImage {
     width: usize,
@@ -14,32 +14,33 @@ pub struct GrayImage {
 }
 
 impl GrayImage {
-    /// As many rows as `pixels` fill. `None` where they fill none, or the last one in part.
+    /// An image of the given width. `None` unless `pixels` fill at least one row, and all rows completely.
     pub fn new(width: usize, pixels: Vec<u8>) -> Option<Self> {
         (width > 0 && !pixels.is_empty() && pixels.len().is_multiple_of(width)).then_some(Self { width, pixels })
     }
 
-    /// Pixels in a row.
+    /// Width, pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
+    /// Height, pixels.
     pub fn height(&self) -> usize {
         self.pixels.len() / self.width
     }
 
-    /// From the top downwards.
+    /// The rows from top to bottom.
     pub fn rows(&self) -> impl DoubleEndedIterator<Item = &[u8]> {
         self.pixels.chunks_exact(self.width)
     }
 
-    /// Reads a PNG or PGM file, by what is in it. Colours are averaged, as `map_server` does; transparency is ignored.
+    /// Reads a PNG or PGM file; the content decides which it is. Colours are averaged as in `map_server`; transparency is
+    /// ignored.
     pub fn read(path: &Path) -> Result<Self, String> {
         Self::decode(&fs::read(path).map_err(|error| error.to_string())?)
     }
 
-    /// The same from bytes.
+    /// Decodes the content of a PNG or PGM file.
     pub fn decode(bytes: &[u8]) -> Result<Self, String> {
         match bytes {
             [b'P', b'2' | b'5', ..] => decode_pgm(bytes),
@@ -62,7 +63,7 @@ impl GrayImage {
 
 fn decode_png(bytes: &[u8]) -> Result<GrayImage, png::DecodingError> {
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
-    // Palettes and fewer bits become bytes; of 16 bits the upper 8 are kept.
+    // Palettes and samples of fewer bits are expanded to bytes; of 16 bits, the upper 8 are kept.
     decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
     let mut reader = decoder.read_info()?;
     let mut buffer = vec![0; reader.output_buffer_size().ok_or(png::DecodingError::LimitsExceeded)?];
@@ -74,34 +75,35 @@ fn decode_png(bytes: &[u8]) -> Result<GrayImage, png::DecodingError> {
         u8::try_from(sum / colours).unwrap_or(u8::MAX)
     };
     let pixels = buffer.chunks_exact(frame.color_type.samples()).map(mean).collect();
-    Ok(GrayImage { width: frame.width as usize, pixels }) // a PNG has no side of no pixels
+    Ok(GrayImage { width: frame.width as usize, pixels }) // a PNG is never empty
 }
 
-/// <https://netpbm.sourceforge.net/doc/pgm.html>; comments run from `#` to the end of the line.
+/// Decodes a PGM file, see <https://netpbm.sourceforge.net/doc/pgm.html>. Comments go from `#` to the end of the line.
 fn decode_pgm(bytes: &[u8]) -> Result<GrayImage, String> {
     let mut position = 2;
-    let mut number = |name: &str| number(bytes, &mut position).ok_or_else(|| format!("there is no {name} in this PGM file"));
+    let mut number = |name: &str| number(bytes, &mut position).ok_or_else(|| format!("this PGM file has no {name}"));
     let (width, height) = (number("width")?, number("height")?);
-    let white = number("greatest value")?;
+    let white = number("maximum value")?;
     let count = width.checked_mul(height).filter(|&count| count > 0 && (1..=0xffff).contains(&white));
-    let count = count.ok_or_else(|| format!("a PGM file cannot have {width} x {height} pixels of up to {white}"))?;
+    let count =
+        count.ok_or_else(|| format!("a PGM file cannot have {width} x {height} pixels with a maximum value of {white}"))?;
     let shade = |value: usize| u8::try_from((value.min(white) * 255 + white / 2) / white).unwrap_or(u8::MAX);
     let pixels: Vec<u8> = if bytes[1] == b'2' {
         (0..count).map_while(|_| number("pixel").ok()).map(shade).collect()
     } else {
-        let raster = bytes.get(position + 1..).unwrap_or_default(); // a single white space comes before it
+        let raster = bytes.get(position + 1..).unwrap_or_default(); // preceded by a single white space
         let sample = if white < 256 { 1 } else { 2 };
         let values =
             raster.chunks_exact(sample).map(|bytes| bytes.iter().fold(0, |value, &byte| 256 * value + usize::from(byte)));
         values.take(count).map(shade).collect()
     };
     if pixels.len() < count {
-        return Err(format!("{} of {width} x {height} pixels are there", pixels.len()));
+        return Err(format!("the file has only {} of {width} x {height} pixels", pixels.len()));
     }
     Ok(GrayImage { width, pixels })
 }
 
-/// The next number of a PGM file's text, behind white space and comments.
+/// Reads the next number of a PGM file; skips white space and comments before it.
 fn number(bytes: &[u8], position: &mut usize) -> Option<usize> {
     loop {
         match bytes.get(*position)? {
@@ -125,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_again() {
+    fn a_written_image_is_read_back_unchanged() {
         let mut png = Vec::new();
         image().write_png(&mut png).unwrap();
         let pgm = [&b"P5\n3 2\n255\n"[..], &image().pixels].concat();
@@ -135,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn pgm_is_read_with_comments_in_text_and_with_two_bytes() {
+    fn pgm_is_read_with_comments_as_text_and_with_two_byte_samples() {
         assert_eq!(GrayImage::decode(b"P2 # plain\n3 2 # size\n255\n0 100 205\n254 255 1").unwrap(), image());
         let wide = GrayImage::decode(b"P5\n#\n2 1\n65535\n\x00\x00\xff\xff").unwrap();
         assert_eq!(wide, GrayImage::new(2, vec![0, 255]).unwrap());
@@ -144,11 +146,11 @@ mod tests {
     }
 
     #[test]
-    fn bad_images_say_what_is_wrong() {
+    fn errors_of_invalid_images_say_what_is_wrong() {
         for (bytes, problem) in [
             (&b"P5 3 2 255\n12345"[..], "5 of 3 x 2"),
             (b"P2 3 2 255\n1 2 x", "2 of 3 x 2"),
-            (b"P5 3 2", "no greatest value"),
+            (b"P5 3 2", "no maximum value"),
             (b"P5 0 2 255\n", "0 x 2"),
             (b"P5 4294967296 4294967296 255\n", "cannot have"),
             (b"GIF89a", "neither"),

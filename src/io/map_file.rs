@@ -1,4 +1,4 @@
-//! Occupancy maps as `map_server` keeps them: a YAML file that describes an image.
+//! Occupancy maps in the format of `map_server`: an image, and a YAML file that describes it.
 
 use std::fmt::Display;
 use std::io::{self, Write};
@@ -12,7 +12,7 @@ use super::yaml;
 use crate::geometry::Pose2;
 use crate::map::grid::{Cell, OccupancyGrid};
 
-/// Why a map cannot be used. Every message names the file.
+/// Why a map cannot be read. Every message names the file.
 #[derive(Debug, Error)]
 pub enum MapError {
     /// The YAML file cannot be read.
@@ -20,43 +20,50 @@ pub enum MapError {
     Unreadable {
         /// The YAML file.
         path: PathBuf,
-        /// The system's reason.
+        /// The error of the operating system.
         error: std::io::Error,
     },
     /// The YAML file does not describe a map.
-    #[error("map {}: {problem} (a map file has image, resolution, origin, negate, occupied_thresh and free_thresh)", .path.display())]
+    #[error(
+        "map {}: {problem} (a map file needs image, resolution, origin, negate, occupied_thresh and free_thresh)",
+        .path.display()
+    )]
     NotAMap {
         /// The YAML file.
         path: PathBuf,
-        /// What does not fit.
+        /// What is wrong with it.
         problem: String,
     },
-    /// A field holds a number that makes no sense.
+    /// A field has an invalid value.
     #[error("map {}: {field} is {value}: {remedy}", .path.display())]
     BadField {
         /// The YAML file.
         path: PathBuf,
         /// Name of the field.
         field: &'static str,
-        /// What it holds.
+        /// Its value.
         value: String,
-        /// What it should hold.
+        /// What its value must be.
         remedy: &'static str,
     },
     /// The image cannot be read.
-    #[error("map {}: image {}: {problem} (the field image names a PNG or PGM file, relative to the map file)", .path.display(), .image.display())]
+    #[error(
+        "map {}: image {}: {problem} (the field `image` is the path of a PNG or PGM file, relative to the map file)",
+        .path.display(),
+        .image.display()
+    )]
     BadImage {
         /// The YAML file.
         path: PathBuf,
-        /// The image it names.
+        /// The image file.
         image: PathBuf,
         /// What is wrong.
         problem: String,
     },
 }
 
-/// Writes a map as `map_saver` does: the image in shades of three, and the YAML file that names it. The image's name is taken from its
-/// path, so that the two may be moved together.
+/// Writes a map as `map_saver` does: the image in three shades of grey, and the YAML file. The YAML file refers to the image by
+/// its file name only, so that both can be moved together.
 pub fn write(map: &OccupancyGrid, image_path: &Path, yaml: &mut impl Write, image: &mut impl Write) -> io::Result<()> {
     let (resolution, origin) = (map.resolution(), map.origin());
     let name = image_path.file_name().unwrap_or_default().to_string_lossy();
@@ -75,7 +82,7 @@ pub fn write(map: &OccupancyGrid, image_path: &Path, yaml: &mut impl Write, imag
     image.write_all(&shades)
 }
 
-/// The YAML file. Fields that other programs add are ignored.
+/// Content of the YAML file. Fields that other programs add are ignored.
 #[derive(Deserialize)]
 struct Description {
     image: PathBuf,
@@ -87,7 +94,7 @@ struct Description {
     mode: Option<String>,
 }
 
-/// Reads the map that a YAML file describes.
+/// Reads a map from its YAML file.
 pub fn read(path: &Path) -> Result<OccupancyGrid, MapError> {
     let text = std::fs::read_to_string(path).map_err(|error| MapError::Unreadable { path: path.into(), error })?;
     let not_a_map = |problem: String| MapError::NotAMap { path: path.into(), problem };
@@ -98,18 +105,18 @@ pub fn read(path: &Path) -> Result<OccupancyGrid, MapError> {
     OccupancyGrid::new(width, description.resolution, Pose2::new(x, y, yaw), cells).map_err(|error| not_a_map(error.to_string()))
 }
 
-/// The image that a YAML file names, if it does.
+/// Path of the image of a map; `None` if the YAML file cannot be read or names no image.
 pub fn image_of(path: &Path) -> Option<PathBuf> {
     #[derive(Deserialize)]
     struct Named {
         image: PathBuf,
     }
     let named: Named = yaml::from_str(&std::fs::read_to_string(path).ok()?).ok()?;
-    Some(beside(path, &named.image))
+    Some(image_path(path, &named.image))
 }
 
-/// Where the image is that the YAML file `path` names.
-fn beside(path: &Path, image: &Path) -> PathBuf {
+/// Path of the image that the YAML file `path` names: relative to the folder of the YAML file.
+fn image_path(path: &Path, image: &Path) -> PathBuf {
     path.parent().unwrap_or(Path::new("")).join(image)
 }
 
@@ -118,17 +125,21 @@ fn check(map: &Description, path: &Path) -> Result<(), MapError> {
         Err(MapError::BadField { path: path.into(), field, value: value.to_string(), remedy })
     };
     if !(map.resolution.is_finite() && map.resolution > 0.0) {
-        return bad("resolution", &map.resolution, "it must be the side of a pixel in metres, more than 0");
+        return bad("resolution", &map.resolution, "it must be the size of a pixel in metres, above 0");
     }
     if !map.origin.iter().all(|number| number.is_finite()) {
-        return bad("origin", &format!("{:?}", map.origin), "it must be [x, y, yaw] of the lower left pixel, metres and radians");
+        return bad(
+            "origin",
+            &format!("{:?}", map.origin),
+            "it must be [x, y, yaw] of the lower left pixel, in metres and radians",
+        );
     }
     if map.negate > 1 {
         return bad("negate", &map.negate, "it must be 0 (dark is occupied) or 1 (light is occupied)");
     }
     for (field, threshold) in [("occupied_thresh", map.occupied_thresh), ("free_thresh", map.free_thresh)] {
         if !(0.0..=1.0).contains(&threshold) {
-            return bad(field, &threshold, "it must be a probability of 0 to 1");
+            return bad(field, &threshold, "it must be a probability between 0 and 1");
         }
     }
     if map.free_thresh >= map.occupied_thresh {
@@ -136,13 +147,13 @@ fn check(map: &Description, path: &Path) -> Result<(), MapError> {
     }
     match map.mode.as_deref() {
         None | Some("trinary") => Ok(()),
-        Some(mode) => bad("mode", &mode, "only trinary maps are read: free, occupied, unknown"),
+        Some(mode) => bad("mode", &mode, "only the mode trinary (free, occupied, unknown) is supported"),
     }
 }
 
-/// The width of the image, and its pixels as cells from the lower left upwards.
+/// Reads the image: its width, and its pixels as cells, row by row from the lower left.
 fn read_cells(map: &Description, path: &Path) -> Result<(usize, Vec<Cell>), MapError> {
-    let image_path = beside(path, &map.image);
+    let image_path = image_path(path, &map.image);
     let image = GrayImage::read(&image_path).map_err(|problem| MapError::BadImage {
         path: path.into(),
         image: image_path.clone(),
@@ -151,7 +162,7 @@ fn read_cells(map: &Description, path: &Path) -> Result<(usize, Vec<Cell>), MapE
     Ok((image.width(), image.rows().rev().flatten().map(|&shade| classify(shade, map)).collect()))
 }
 
-/// As `map_server` does: shades between the thresholds are unknown.
+/// Classifies a pixel as `map_server` does: shades between the thresholds are unknown.
 fn classify(shade: u8, map: &Description) -> Cell {
     let lightness = f64::from(shade) / 255.0;
     let occupancy = if map.negate == 1 { lightness } else { 1.0 - lightness };

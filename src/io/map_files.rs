@@ -1,4 +1,5 @@
-//! The files that a map is kept in: `PREFIX.yaml` and `PREFIX.pgm` as `map_saver` writes them, and `PREFIX.graph` to go on with.
+//! The files of a map: `PREFIX.yaml` and `PREFIX.pgm` as `map_saver` writes them, and `PREFIX.graph`, from which mapping can
+//! continue.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -9,7 +10,7 @@ use super::map_file;
 use crate::map::grid::OccupancyGrid;
 use crate::output::OutputFile;
 
-/// A file that cannot be written.
+/// A map file cannot be written.
 #[derive(Debug, Error)]
 #[error("cannot {action} {}: {error}", .path.display())]
 pub struct MapFilesError {
@@ -22,32 +23,32 @@ fn failed(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> MapFil
     move |error| MapFilesError { action, path: path.into(), error }
 }
 
-/// What the files are called.
+/// Paths of the files of a map.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MapPaths {
-    /// The map.
+    /// The YAML file that describes the map.
     pub yaml: PathBuf,
-    /// Its image.
+    /// The image of the map.
     pub image: PathBuf,
-    /// What it was made of.
+    /// The pose graph with the scans of the keyframes.
     pub graph: PathBuf,
 }
 
 impl MapPaths {
-    /// Of a map that is called `prefix`, a path without an ending.
+    /// Paths of the map `prefix`, a path without an extension.
     pub fn new(prefix: &Path) -> Self {
-        Self { yaml: ending(prefix, ".yaml"), image: ending(prefix, ".pgm"), graph: ending(prefix, ".graph") }
+        Self { yaml: append(prefix, ".yaml"), image: append(prefix, ".pgm"), graph: append(prefix, ".graph") }
     }
 }
 
-/// A path with something after it.
-pub fn ending(prefix: &Path, ending: &str) -> PathBuf {
+/// Appends an extension to a path, without replacing one that is there.
+pub fn append(prefix: &Path, extension: &str) -> PathBuf {
     let mut name = prefix.as_os_str().to_owned();
-    name.push(ending);
+    name.push(extension);
     name.into()
 }
 
-/// The files, being written: older ones stay until all of the new ones are whole.
+/// The files of a map being written: existing files are kept until all of the new ones are complete.
 #[derive(Debug)]
 pub struct MapFiles {
     paths: MapPaths,
@@ -57,25 +58,25 @@ pub struct MapFiles {
 }
 
 impl MapFiles {
-    /// Begins them; fails at once if the folder cannot be written to.
+    /// Begins the files; fails at once if the folder is not writable.
     pub fn create(paths: MapPaths) -> Result<Self, MapFilesError> {
         let create = |path: &Path| OutputFile::create(path).map_err(failed("create", path));
         let [yaml, image, graph] = [create(&paths.yaml)?, create(&paths.image)?, create(&paths.graph)?];
         Ok(Self { paths, yaml, image, graph })
     }
 
-    /// Writes a map and the bytes of its graph.
+    /// Writes a map and its serialized graph.
     pub fn write(&mut self, map: &OccupancyGrid, graph: &[u8]) -> Result<(), MapFilesError> {
         let image = &self.paths.image;
         map_file::write(map, image, &mut self.yaml, &mut self.image).map_err(failed("write", image))?;
         self.graph.write_all(graph).map_err(failed("write", &self.paths.graph))
     }
 
-    /// The files are whole: moves them to their places.
+    /// Moves the complete files to their paths.
     pub fn commit(&mut self) -> Result<(), MapFilesError> {
         let MapPaths { yaml, image, graph } = &self.paths;
         for (file, path) in [(&mut self.graph, graph), (&mut self.image, image), (&mut self.yaml, yaml)] {
-            file.commit().map_err(failed("put in its place", path))?;
+            file.commit().map_err(failed("move the new file to", path))?;
         }
         Ok(())
     }

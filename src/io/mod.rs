@@ -1,4 +1,4 @@
-//! Files: bags, CARMEN logs, trajectories, relations, maps.
+//! Reads and writes files: bags, CARMEN logs, trajectories, relations, maps.
 
 pub mod bag;
 pub mod carmen;

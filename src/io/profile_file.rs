@@ -1,4 +1,4 @@
-//! `profile.yaml`: what error to expect of a time budget, for the node and for planners.
+//! `profile.yaml`: the expected error for each time budget, for the node and for planners.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,87 +9,87 @@ use thiserror::Error;
 
 use super::yaml;
 use crate::anytime::ErrorEstimate;
-use crate::anytime::mode::{Mode, Ranges, make_falling};
+use crate::anytime::mode::{ConditionRanges, Mode, make_non_increasing};
 use crate::knobs::{Value, nearest_name};
 
-/// The expected error of every variant, and the data it was measured on.
+/// The expected errors of every variant, and the data on which they were measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Profile {
-    /// Where the figures come from.
+    /// How the errors were measured.
     pub provenance: Provenance,
-    /// By the variant's name.
+    /// Expected errors by name of the variant.
     pub variants: BTreeMap<String, VariantProfile>,
 }
 
-/// What the figures were measured with and on.
+/// How, and on which data, the errors were measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// Version of this program.
     pub version: String,
-    /// The bag.
+    /// Path of the bag.
     pub bag: String,
     /// Topic of the scans.
     pub scan_topic: String,
-    /// Topic of the wheel odometry, if there is any.
+    /// Topic of the wheel odometry, if it was used.
     pub odometry_topic: Option<String>,
     /// File or topic of the true poses.
     pub truth: String,
-    /// What the errors are.
+    /// Definition of the errors.
     pub error: String,
-    /// Scans of the bag.
+    /// Number of scans of the bag.
     pub scans: usize,
-    /// Beams of a scan.
+    /// Number of beams of a scan.
     pub beams: usize,
-    /// Runs of each case.
+    /// Number of runs of each case.
     pub rounds: u32,
-    /// Seed of the order of the runs, and of a simulated drive.
+    /// Random seed of the order of the runs, and of a simulated drive.
     pub seed: u32,
-    /// The clock that delays were measured by.
+    /// The clock that measured the delays.
     pub clock: String,
     /// Parameters that were not at their defaults.
     pub parameters: BTreeMap<String, Value>,
 }
 
-/// What to expect of one variant.
+/// Expected errors of one variant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct VariantProfile {
-    /// The knob whose runs the budgets are: `time_budget`, or another one whose delay at percentile 99 stands for the budget.
+    /// The knob that was varied: `time_budget`, or another one, whose 99th percentile of the delay then serves as the budget.
     pub measured_by: String,
     /// Delay without any iteration, us, on the machine of the study.
     pub setup_us: Option<f64>,
     /// Delay of each ray of an iteration, us, on the machine of the study.
     pub per_ray_us: Option<f64>,
-    /// The conditions of the study's answers; elsewhere nothing is known of delays and errors.
+    /// The conditions under which the study was made; outside them, delays and errors are unknown.
     #[serde(default)]
-    pub conditions: Ranges,
-    /// By rising budget.
+    pub conditions: ConditionRanges,
+    /// The budgets, in increasing order.
     pub budgets: Vec<Budget>,
 }
 
-/// A time budget and what came of it.
+/// A time budget and its expected error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Budget {
     /// The budget, s.
     pub delta_s: f64,
-    /// The error to expect.
+    /// The expected error.
     #[serde(flatten)]
     pub error: ExpectedError,
 }
 
-/// Errors to expect of a pose. They never rise with the budget: who has more time can stop where less would have.
+/// Expected errors of a pose. They never increase with the budget: a longer budget need not be used up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExpectedError {
-    /// Of the position, mean, m.
+    /// Mean position error, m.
     pub position_mean_m: f64,
-    /// Of the position, at percentile 95, m.
+    /// 95th percentile of the position error, m.
     pub position_p95_m: f64,
-    /// Of the orientation, mean, rad.
+    /// Mean orientation error, rad.
     pub orientation_mean_rad: f64,
-    /// Of the orientation, at percentile 95, rad.
+    /// 95th percentile of the orientation error, rad.
     pub orientation_p95_rad: f64,
 }
 
-/// Why a profile is unusable.
+/// Why a profile cannot be used.
 #[derive(Debug, Error)]
 pub enum ProfileFileError {
     /// The file cannot be read.
@@ -97,25 +97,25 @@ pub enum ProfileFileError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// The system's reason.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// The file is no profile.
-    #[error("{}: this is no profile: {problem} (`anytime profile` writes one)", path.display())]
+    /// The file is not a valid profile.
+    #[error("{} is not a valid profile: {problem} (`anytime profile` writes one)", path.display())]
     NotAProfile {
         /// The file.
         path: PathBuf,
-        /// What does not fit.
+        /// What is wrong with it.
         problem: String,
     },
     /// The profile does not have this variant.
     #[error("the profile has no variant '{name}'{hint}; it has: {known}")]
     NoSuchVariant {
-        /// The variant asked for.
+        /// The requested variant.
         name: String,
-        /// The one that may have been meant.
+        /// Suggestion of a similar name, or empty.
         hint: String,
-        /// All that it has.
+        /// Names of all variants.
         known: String,
     },
 }
@@ -127,7 +127,7 @@ impl Profile {
         Self::from_yaml(&text).map_err(|problem| ProfileFileError::NotAProfile { path: path.into(), problem })
     }
 
-    /// Reads and checks the text of a profile; the error says what does not fit.
+    /// Parses and checks the text of a profile; the error says what is wrong.
     pub fn from_yaml(text: &str) -> Result<Self, String> {
         let profile: Self = yaml::from_str(text)?;
         for (name, variant) in &profile.variants {
@@ -136,12 +136,12 @@ impl Profile {
         Ok(profile)
     }
 
-    /// The text of the profile.
+    /// Serializes the profile.
     pub fn to_yaml(&self) -> Result<String, String> {
         serde_saphyr::to_string(self).map_err(|error| error.to_string())
     }
 
-    /// What there is on a variant, such as `jump_table+point_to_line`.
+    /// The profile of a variant, such as `jump_table+point_to_line`.
     pub fn variant(&self, name: &str) -> Result<&VariantProfile, ProfileFileError> {
         self.variants.get(name).ok_or_else(|| {
             let known: Vec<&str> = self.variants.keys().map(String::as_str).collect();
@@ -153,23 +153,24 @@ impl Profile {
 }
 
 impl VariantProfile {
-    /// From what was measured: in any order, and with errors that chance may have made rise with the budget.
-    pub fn new(measured_by: &str, cost: Option<(f64, f64)>, conditions: Ranges, mut budgets: Vec<Budget>) -> Self {
+    /// Makes a profile from measured budgets, in any order. Errors that increase with the budget by chance are made
+    /// non-increasing.
+    pub fn new(measured_by: &str, cost: Option<(f64, f64)>, conditions: ConditionRanges, mut budgets: Vec<Budget>) -> Self {
         budgets.sort_by(|a, b| a.delta_s.total_cmp(&b.delta_s));
         budgets.dedup_by_key(|budget| budget.delta_s);
-        for figure in FIGURES {
-            let mut values: Vec<f64> = budgets.iter_mut().map(|budget| *figure(&mut budget.error)).collect();
-            make_falling(&mut values);
+        for field in ERROR_FIELDS {
+            let mut values: Vec<f64> = budgets.iter_mut().map(|budget| *field(&mut budget.error)).collect();
+            make_non_increasing(&mut values);
             for (budget, value) in budgets.iter_mut().zip(values) {
-                *figure(&mut budget.error) = value;
+                *field(&mut budget.error) = value;
             }
         }
         let (setup_us, per_ray_us) = cost.unzip();
         Self { measured_by: measured_by.into(), setup_us, per_ray_us, conditions, budgets }
     }
 
-    /// The error to expect within a budget: on the line between the budgets measured; beyond the longest that of the longest. `None` below
-    /// the shortest: of that nothing is known.
+    /// The expected error for a budget: interpolated linearly between the measured budgets; beyond the longest, that of the
+    /// longest. `None` below the shortest, where it is unknown.
     pub fn expected_error(&self, delta: Duration) -> Option<ExpectedError> {
         let delta = delta.as_secs_f64();
         let next = self.budgets.partition_point(|budget| budget.delta_s <= delta);
@@ -178,13 +179,14 @@ impl VariantProfile {
         let fraction = (delta - before.delta_s) / (after.delta_s - before.delta_s);
         let mut error = before.error;
         let mut later = after.error;
-        for figure in FIGURES {
-            *figure(&mut error) += fraction * (*figure(&mut later) - *figure(&mut error));
+        for field in ERROR_FIELDS {
+            *field(&mut error) += fraction * (*field(&mut later) - *field(&mut error));
         }
         Some(error)
     }
 
-    /// What a controller may choose from, by rising delay. Across the direction of travel the error is no greater than in all.
+    /// The modes from which a controller may choose, by increasing delay. Their translation error is the total position error, an
+    /// upper bound of the error across the direction of travel.
     pub fn modes(&self) -> Vec<Mode> {
         let mode = |&Budget { delta_s, error }: &Budget| Mode {
             delay: Duration::from_secs_f64(delta_s),
@@ -201,14 +203,14 @@ impl VariantProfile {
         let mut errors: Option<ExpectedError> = None;
         for Budget { delta_s, mut error } in self.budgets.iter().copied() {
             if !(delta_s.is_finite() && delta_s > longest) {
-                return Err(format!("delta_s {delta_s} is not a number of seconds above the {longest} before it"));
+                return Err(format!("delta_s {delta_s} must be a number of seconds greater than the previous one, {longest}"));
             }
-            for figure in FIGURES {
-                let most = errors.as_mut().map_or(f64::MAX, |errors| *figure(errors));
-                let value = *figure(&mut error);
-                if !(0.0..=most).contains(&value) {
+            for field in ERROR_FIELDS {
+                let previous = errors.as_mut().map_or(f64::MAX, |errors| *field(errors));
+                let value = *field(&mut error);
+                if !(0.0..=previous).contains(&value) {
                     return Err(format!(
-                        "at delta_s {delta_s} an error is {value}: it must be 0 or more, and not above that of less time"
+                        "an error at delta_s {delta_s} is {value}: it must be at least 0 and at most that of a shorter budget"
                     ));
                 }
             }
@@ -218,8 +220,8 @@ impl VariantProfile {
     }
 }
 
-/// Each figure of an expected error.
-const FIGURES: [fn(&mut ExpectedError) -> &mut f64; 4] =
+/// Accessors of all fields of an expected error.
+const ERROR_FIELDS: [fn(&mut ExpectedError) -> &mut f64; 4] =
     [|e| &mut e.position_mean_m, |e| &mut e.position_p95_m, |e| &mut e.orientation_mean_rad, |e| &mut e.orientation_p95_rad];
 
 #[cfg(test)]
@@ -240,13 +242,13 @@ mod tests {
             measured_by: "time_budget".into(),
             setup_us: None,
             per_ray_us: None,
-            conditions: Ranges { rays: Some([900.0, 1000.0]), ..Ranges::default() },
+            conditions: ConditionRanges { rays: Some([900.0, 1000.0]), ..ConditionRanges::default() },
             budgets: errors.iter().map(budget).collect(),
         }
     }
 
     #[test]
-    fn between_budgets_lies_a_line_and_beyond_them_no_promise() {
+    fn errors_are_interpolated_between_budgets_and_unknown_below_them() {
         let variant = variant(&[(0.001, 0.5), (0.002, 0.3), (0.004, 0.2)]);
         let at = |ms: f64| variant.expected_error(Duration::from_secs_f64(ms * 1e-3)).map(|e| e.position_mean_m);
         assert_eq!([at(0.5), at(1.0), at(4.0), at(1000.0)], [None, Some(0.5), Some(0.2), Some(0.2)]);
@@ -254,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_profile_is_refused() {
+    fn a_damaged_profile_is_rejected() {
         assert!(variant(&[(0.001, 0.5), (0.002, 0.3)]).check().is_ok());
         for bad in [&[][..], &[(0.002, 0.5), (0.001, 0.3)], &[(0.001, 0.3), (0.002, 0.5)], &[(0.001, f64::NAN)], &[(0.0, 1.0)]] {
             assert!(variant(bad).check().is_err(), "{bad:?}");

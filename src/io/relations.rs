@@ -1,6 +1,7 @@
 //! Files of relations: `t1 t2 x y z roll pitch yaw` on each line, seconds, metres and radians.
 //!
-//! Kuemmerle et al., Autonomous Robots 27, 2009. The logs are of the plane: z, roll and pitch are checked and passed over.
+//! Format of Kuemmerle et al., Autonomous Robots 27, 2009. Only planar motion is evaluated: z, roll and pitch must be numbers,
+//! but are ignored.
 
 use std::path::Path;
 
@@ -10,12 +11,12 @@ use crate::geometry::Pose2;
 
 const COLUMNS: &str = "t1 t2 x y z roll pitch yaw";
 
-/// Reads relations from a file; at least one.
+/// Reads relations from a file, which must have at least one.
 pub fn read(path: &Path) -> Result<Vec<Relation>, TextFileError> {
     parse(&text::load(path, COLUMNS)?, path)
 }
 
-/// Reads relations from the text of a file; `path` names it in errors.
+/// Parses the text of a file of relations; `path` names the file in errors.
 pub fn parse(text: &str, path: &Path) -> Result<Vec<Relation>, TextFileError> {
     let relations = text::records(text, path, parse_relation)?;
     if relations.is_empty() {

@@ -1,4 +1,5 @@
-//! A simulated drive as a bag, and its truth as a TUM file; what its rays truly met.
+//! Writes a simulated drive to a bag and its true poses to a TUM file; finds the cells of the true map that the rays of such a
+//! bag hit.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -29,53 +30,64 @@ pub enum RecordError {
     /// The bag cannot be written.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// The truth cannot be written.
+    /// The true poses cannot be written.
     #[error("cannot write the true poses: {0}")]
     Truth(std::io::Error),
 }
 
-/// Where a drive has its true poses.
-pub const TRUTH: &str = "/gt_pose";
-const SCANS: &str = "/scan";
-const MOUNT: &str = "/tf_static";
+/// Topic of the true poses.
+pub const TRUTH_TOPIC: &str = "/gt_pose";
+/// Topic of the scans.
+const SCAN_TOPIC: &str = "/scan";
+/// Topic of the laser's mount.
+const MOUNT_TOPIC: &str = "/tf_static";
 
-/// Why it cannot be told what the rays of a drive met.
+/// Why the cells hit by the rays of a drive cannot be determined.
 #[derive(Debug, Error)]
-pub enum NoTrueViews {
+pub enum CellsHitError {
     /// The bag cannot be read.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// It is of no simulated drive.
-    #[error("{path}: no scan on {SCANS} has a true pose of its stamp on {TRUTH}: a bag of anytime simulate is needed")]
+    /// The bag has no true poses for its scans.
+    #[error(
+        "{path}: no scan on {SCAN_TOPIC} has a true pose with the same stamp on {TRUTH_TOPIC}: \
+         give a bag written by `anytime simulate`"
+    )]
     NoTruth {
         /// The file.
         path: String,
     },
-    /// Where the laser was is not told.
-    #[error("{path}: {MOUNT} does not say where {LASER_FRAME} is on {BASE_FRAME}: a bag of anytime simulate is needed")]
+    /// The bag has no transform from the base to the laser.
+    #[error(
+        "{path}: {MOUNT_TOPIC} has no transform from {BASE_FRAME} to {LASER_FRAME}: give a bag written by `anytime simulate`"
+    )]
     NoMount {
         /// The file.
         path: String,
     },
 }
 
-/// Which cells of the world of a simulated drive its rays truly met, by their numbers: first of all on their ways from where the laser truly
-/// was, whatever was measured, and whoever stood in between. All rays of a scan are taken to be of its stamp.
-pub fn cells_met(bag: &Bag, world: &OccupancyGrid) -> Result<Vec<bool>, NoTrueViews> {
+/// Which cells of the true map `world` the rays of a simulated drive hit, by cell number. Rays are cast from the true poses of
+/// the laser, so that neither noise nor moving people matter. All rays of a scan are cast from the pose at its stamp.
+pub fn cells_hit(bag: &Bag, world: &OccupancyGrid) -> Result<Vec<bool>, CellsHitError> {
     let path = || bag.path().display().to_string();
-    [bag.expect_topic::<PoseStamped>(TRUTH), bag.expect_topic::<LaserScan>(SCANS), bag.expect_topic::<TFMessage>(MOUNT)]
-        .into_iter()
-        .collect::<Result<(), _>>()?;
+    [
+        bag.expect_topic::<PoseStamped>(TRUTH_TOPIC),
+        bag.expect_topic::<LaserScan>(SCAN_TOPIC),
+        bag.expect_topic::<TFMessage>(MOUNT_TOPIC),
+    ]
+    .into_iter()
+    .collect::<Result<(), _>>()?;
     let (mut poses, mut scans, mut frames) = (BTreeMap::new(), BTreeMap::new(), TransformTree::default());
-    for message in bag.messages(Some(&[TRUTH, SCANS, MOUNT])) {
+    for message in bag.messages(Some(&[TRUTH_TOPIC, SCAN_TOPIC, MOUNT_TOPIC])) {
         let message = message?;
         match message.connection.topic.as_str() {
-            TRUTH => {
+            TRUTH_TOPIC => {
                 let PoseStamped { header, pose } = message.decode()?;
                 let map_from_base = Pose2::new(pose.position.x, pose.position.y, pose.orientation.yaw());
                 poses.insert(Stamp::from(header.stamp), map_from_base);
             }
-            SCANS => {
+            SCAN_TOPIC => {
                 let scan: LaserScan = message.decode()?;
                 let beams = BeamGeometry::new(scan.angle_min.into(), scan.angle_increment.into(), scan.ranges.len());
                 scans.insert(Stamp::from(scan.header.stamp), (beams, f64::from(scan.range_max)));
@@ -83,41 +95,41 @@ pub fn cells_met(bag: &Bag, world: &OccupancyGrid) -> Result<Vec<bool>, NoTrueVi
             _ => _ = frames.add(&message.decode()?),
         }
     }
-    let mount = frames.mount(BASE_FRAME, LASER_FRAME).ok_or_else(|| NoTrueViews::NoMount { path: path() })?;
+    let mount = frames.mount(BASE_FRAME, LASER_FRAME).ok_or_else(|| CellsHitError::NoMount { path: path() })?;
     let views = scans.iter().filter_map(|(stamp, view)| Some((*poses.get(stamp)? * mount.base_from_laser, view)));
-    let (mut met, mut is_none) = (vec![false; world.cells().len()], true);
+    let (mut hit, mut is_empty) = (vec![false; world.cells().len()], true);
     for (map_from_laser, (beams, range_max)) in views {
-        meet(world, &map_from_laser, beams, *range_max, &mut met);
-        is_none = false;
+        mark_cells_hit(world, &map_from_laser, beams, *range_max, &mut hit);
+        is_empty = false;
     }
-    if is_none { Err(NoTrueViews::NoTruth { path: path() }) } else { Ok(met) }
+    if is_empty { Err(CellsHitError::NoTruth { path: path() }) } else { Ok(hit) }
 }
 
-/// Notes the cells that the rays of a scan meet.
+/// Marks the cells that the rays of a scan hit.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // columns and rows of the map
-fn meet(world: &OccupancyGrid, map_from_laser: &Pose2, beams: &BeamGeometry, range_max: f64, met: &mut [bool]) {
-    // A ray that has gone so far is on a cell's edge.
-    let inside = 1e-6 * world.resolution();
-    let (laser, turn) = (map_from_laser.translation(), map_from_laser.transform());
-    for direction in beams.directions().iter().map(|&direction| turn.rotate(direction)) {
+fn mark_cells_hit(world: &OccupancyGrid, map_from_laser: &Pose2, beams: &BeamGeometry, range_max: f64, hit: &mut [bool]) {
+    // A ray ends on the edge of the cell that it hits: a point slightly further on is inside.
+    let margin = 1e-6 * world.resolution();
+    let (laser, transform) = (map_from_laser.translation(), map_from_laser.transform());
+    for direction in beams.directions().iter().map(|&direction| transform.rotate(direction)) {
         if let Some(range) = world.range(laser, direction, range_max) {
-            let place = world.coordinates(laser + direction * (range + inside));
-            if let Some(cell) = met.get_mut(place.y as usize * world.width() + place.x as usize) {
+            let end = world.coordinates(laser + direction * (range + margin));
+            if let Some(cell) = hit.get_mut(end.y as usize * world.width() + end.x as usize) {
                 *cell = true;
             }
         }
     }
 }
 
-/// Odometry as a transform, as drivers publish it: where the base is in the frame of the odometry.
-fn transform(odometry: &Odometry) -> TFMessage {
+/// The transform from the odometry frame to the base, as drivers publish it along with odometry.
+fn odometry_transform(odometry: &Odometry) -> TFMessage {
     let Point { x, y, z } = odometry.pose.pose.position;
     let transform = Transform { translation: Vector3 { x, y, z }, rotation: odometry.pose.pose.orientation.clone() };
     let (header, child_frame_id) = (odometry.header.clone(), odometry.child_frame_id.clone());
     TFMessage { transforms: vec![TransformStamped { header, child_frame_id, transform }] }
 }
 
-/// Simulates a drive and writes it to `bag`, and the true pose of every scan to `truth`. Returns the number of scans.
+/// Simulates a drive. Writes its messages to `bag` and the true pose of every scan to `truth`. Returns the number of scans.
 pub fn record<W: Write>(
     settings: &Settings,
     scene: &Scene,
@@ -127,18 +139,18 @@ pub fn record<W: Write>(
     let mut scans = 0;
     simulate(settings, scene, |time, message| -> Result<(), RecordError> {
         match message {
-            SimulatedMessage::Mount(message) => bag.write_latched(MOUNT, time, &message)?,
+            SimulatedMessage::Mount(message) => bag.write_latched(MOUNT_TOPIC, time, &message)?,
             SimulatedMessage::Odometry(message) => {
-                bag.write("/tf", time, &transform(&message))?;
+                bag.write("/tf", time, &odometry_transform(&message))?;
                 bag.write("/odom", time, &message)?;
             }
             SimulatedMessage::Truth { stamp, map_from_base } => {
                 truth.write(&StampedPose { stamp, pose: map_from_base }).map_err(RecordError::Truth)?;
-                bag.write(TRUTH, time, &truth_message(stamp, map_from_base))?;
+                bag.write(TRUTH_TOPIC, time, &truth_message(stamp, map_from_base))?;
             }
             SimulatedMessage::Scan(message) => {
                 scans += 1;
-                bag.write(SCANS, time, &message)?;
+                bag.write(SCAN_TOPIC, time, &message)?;
             }
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! Text files with one record of numbers per line: what the readers of trajectories and relations share.
+//! Text files with one record of numbers per line: code shared by the readers of trajectories, relations and CARMEN logs.
 
 use std::fs;
 use std::io;
@@ -8,29 +8,29 @@ use thiserror::Error;
 
 use crate::time::Stamp;
 
-/// Why a text file cannot be used.
+/// Why a text file cannot be read.
 #[derive(Debug, Error)]
 pub enum TextFileError {
-    /// The file cannot be read at all.
+    /// The operating system cannot read the file.
     #[error("cannot read {}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// A line is not what it should be.
+    /// A line is invalid.
     #[error("{}:{line}: {problem}", path.display())]
     Line {
         /// The file.
         path: PathBuf,
         /// Number of the line, from 1.
         line: usize,
-        /// What is wrong and what to do about it.
+        /// What is wrong, and what to do about it.
         problem: String,
     },
-    /// There is no record in the file.
-    #[error("there is nothing in {}: expected lines of `{expected}`", path.display())]
+    /// The file has no record.
+    #[error("{} has no data: expected lines of `{expected}`", path.display())]
     Empty {
         /// The file.
         path: PathBuf,
@@ -39,18 +39,18 @@ pub enum TextFileError {
     },
 }
 
-/// The whole file.
+/// Reads a whole text file.
 pub(super) fn load(path: &Path, expected: &str) -> Result<String, TextFileError> {
     let bytes = fs::read(path).map_err(|source| TextFileError::Read { path: path.into(), source })?;
     String::from_utf8(bytes).map_err(|error| {
         let readable = &error.as_bytes()[..error.utf8_error().valid_up_to()];
         let line = readable.split(|byte| *byte == b'\n').count();
-        let problem = format!("not text (is it a bag?): expected lines of `{expected}`");
+        let problem = format!("this is not text (is it a bag?): expected lines of `{expected}`");
         TextFileError::Line { path: path.into(), line, problem }
     })
 }
 
-/// Every record that `parse` makes of the columns of a line; blank lines and `#` comments are passed over.
+/// Applies `parse` to the columns of each line; blank lines and `#` comments are skipped.
 pub(super) fn records<T>(
     text: &str,
     path: &Path,
@@ -64,7 +64,7 @@ pub(super) fn records<T>(
         .collect()
 }
 
-/// The numbers of a record, one for each of `names`.
+/// Parses the numbers of a record, one for each of `names`.
 pub(super) fn numbers<const N: usize>(names: [&str; N], columns: &[&str]) -> Result<[f64; N], String> {
     let mut numbers = [0.0; N];
     for ((number, name), text) in numbers.iter_mut().zip(names).zip(columns) {
@@ -72,14 +72,14 @@ pub(super) fn numbers<const N: usize>(names: [&str; N], columns: &[&str]) -> Res
             .parse()
             .ok()
             .filter(|number: &f64| number.is_finite())
-            .ok_or_else(|| format!("{name} is `{text}`: expected a finite number (remove the line, or repair it)"))?;
+            .ok_or_else(|| format!("{name} is `{text}`: expected a finite number (fix or remove the line)"))?;
     }
     Ok(numbers)
 }
 
-/// A stamp from decimal seconds (`1795374577.083470347` or `1.795374577083470347e+09`), to the nearest nanosecond.
+/// Parses a stamp in decimal seconds (`1795374577.083470347` or `1.795374577083470347e+09`), rounded to the nearest nanosecond.
 ///
-/// Never through `f64`, which at today's epoch seconds would be off by up to 120 ns.
+/// Does not use `f64`, which for today's dates would be off by up to 120 ns.
 pub(super) fn stamp(text: &str) -> Result<Stamp, String> {
     nanoseconds(text)
         .map(Stamp::from_nanoseconds)
@@ -94,7 +94,7 @@ fn nanoseconds(text: &str) -> Option<i64> {
     if digits.is_empty() || !digits.iter().all(u8::is_ascii_digit) {
         return None;
     }
-    // Moving the point nine places to the right of where the exponent puts it makes nanoseconds of the seconds.
+    // Moving the decimal point nine places further to the right converts seconds to nanoseconds.
     let point = i64::try_from(whole.len()).ok()? + i64::from(exponent.parse::<i32>().ok()?) + 9;
     let kept = usize::try_from(point.max(0)).ok()?;
     let mut value = digits.iter().take(kept).try_fold(0_i64, |value, digit| push_digit(value, digit - b'0'))?;
@@ -118,7 +118,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn stamps_in_every_notation() {
+    fn stamps_are_parsed_in_every_notation() {
         for (text, expected) in [
             ("1795374577.083470347", 1_795_374_577_083_470_347),
             ("1.795374577083470347e+09", 1_795_374_577_083_470_347),
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_stamp() {
+    fn invalid_stamps_are_rejected() {
         for text in
             ["", ".", "-", "e5", "nan", "inf", "1e", "1e+", "1.2.3", "--1", "1,5", "9223372037", "1e300", "1e2000000000", "٣"]
         {
@@ -150,7 +150,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_printed_stamp_reads_as_itself(ns in -i64::MAX..i64::MAX) {
+        fn a_printed_stamp_is_parsed_back_unchanged(ns in -i64::MAX..i64::MAX) {
             prop_assert_eq!(nanoseconds(&Stamp::from_nanoseconds(ns).to_string()), Some(ns));
         }
     }

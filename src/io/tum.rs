@@ -1,6 +1,6 @@
 //! Trajectories in the TUM format: `timestamp x y z qx qy qz qw` on each line, seconds and metres.
 //!
-//! Sturm et al., IROS 2012. Reads also `timestamp x y theta`, the plane's own form. Of poses in space the plane's part is kept.
+//! Format of Sturm et al., IROS 2012. The planar form `timestamp x y theta` is read, too. Of 3D poses only x, y and yaw are used.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -11,7 +11,7 @@ use crate::geometry::Pose2;
 use crate::messages::geometry_msgs::Quaternion;
 
 const COLUMNS: &str = "timestamp x y z qx qy qz qw";
-/// How far from 1 the norm of a quaternion may be: files with three decimals pass, columns in the wrong order do not.
+/// Maximum deviation of a quaternion's norm from 1: accepts files with three decimals, but rejects columns in the wrong order.
 const NORM_TOLERANCE: f64 = 0.01;
 
 /// Reads a trajectory from a file.
@@ -19,18 +19,18 @@ pub fn read(path: &Path) -> Result<Trajectory, TextFileError> {
     parse(&text::load(path, COLUMNS)?, path)
 }
 
-/// Reads a trajectory from the text of a file; `path` names it in errors.
+/// Parses the text of a trajectory file; `path` names the file in errors.
 pub fn parse(text: &str, path: &Path) -> Result<Trajectory, TextFileError> {
     let mut columns_before = None;
     let poses = text::records(text, path, |columns| {
-        // A line that was cut off in the middle must not pass as one of the shorter form.
+        // A truncated line must not be taken for one of the shorter form.
         let expected = *columns_before.get_or_insert(columns.len());
         if columns.len() != expected {
-            return Err(format!("{} columns, but {expected} in the lines before (cut off? remove the line)", columns.len()));
+            return Err(format!("{} columns, but {expected} in the lines before (truncated? remove the line)", columns.len()));
         }
         parse_pose(columns)
     })?;
-    // All numbers are finite by now: no pose at all is the only fault left.
+    // All numbers are known to be finite here, so the only possible error is that there is no pose.
     Trajectory::new(poses).map_err(|_| TextFileError::Empty { path: path.into(), expected: COLUMNS })
 }
 
@@ -60,8 +60,8 @@ fn yaw([x, y, z, w]: [f64; 4]) -> Result<f64, String> {
 
 /// Writes a trajectory pose by pose.
 ///
-/// Each pose is one `write_all` of a complete line: over a bare [`std::fs::File`] nothing of a killed run is lost, over a
-/// [`std::io::BufWriter`] only the last lines, and neither leaves half a line behind.
+/// Each pose is written by one `write_all` of a complete line. If the program is killed, a plain [`std::fs::File`] loses nothing
+/// and a [`std::io::BufWriter`] only the last lines.
 #[derive(Debug)]
 pub struct TumWriter<W: Write> {
     sink: W,
@@ -73,19 +73,19 @@ impl<W: Write> TumWriter<W> {
         Self { sink }
     }
 
-    /// Adds a pose: to the nanosecond and the nanometre.
+    /// Writes a pose with a resolution of 1 ns and 1 nm.
     pub fn write(&mut self, stamped: &StampedPose) -> io::Result<()> {
         let StampedPose { stamp, pose } = stamped;
         let (qz, qw) = (0.5 * pose.theta).sin_cos();
         self.sink.write_all(format!("{stamp} {:.9} {:.9} 0 0 0 {qz:.12} {qw:.12}\n", pose.x, pose.y).as_bytes())
     }
 
-    /// The sink.
+    /// Returns the sink.
     pub fn into_sink(self) -> W {
         self.sink
     }
 
-    /// Flushes `sink`.
+    /// Flushes the sink.
     pub fn flush(&mut self) -> io::Result<()> {
         self.sink.flush()
     }

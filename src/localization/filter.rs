@@ -1,11 +1,11 @@
-//! The filter itself: a cloud of particles that follows the robot, and beside it, where the robot may be elsewhere, a search all over
-//! the map.
+//! The particle filter: a cloud of particles tracks the robot; in addition, a global search runs while the robot may be
+//! elsewhere.
 
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::LocalizationKnobs;
-use super::agreement::{Agreement, DECIDED, LEAST};
+use super::agreement::{Agreement, MIN_ADVANTAGE, MIN_EXPLAINED};
 use super::estimate::{self, Belief};
 use super::evidence::Evidence;
 use super::model::Model;
@@ -16,57 +16,58 @@ use super::resampling::{kld_count, low_variance};
 use super::search::Search;
 use super::sensor::SensorKnobs;
 use super::streams::Streams;
-use super::update::{Searching, particles_for};
+use super::update::{SearchWork, particles_for};
 use super::view::View;
 use crate::anytime::contract::Contract;
 use crate::anytime::cost_model::Phase;
-use crate::anytime::{Driver, ErrorEstimate, Outlook, Work};
+use crate::anytime::{AnytimeAlgorithm, ContractRunner, ErrorEstimate, RemainingBudget};
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::map::grid::OccupancyGrid;
 use crate::matching::StopReason;
 use crate::raycasting::Fan;
 
-/// Two poses this near to each other, m and rad, are of one place.
-const SAME_PLACE: (f64, f64) = (1.0, 0.6);
-/// Scans from nearer than this, m and rad, show the same parts of the same walls, and err alike by what the map and the ray casting err
-/// there: together they are no more evidence than one. Two cells of a usual map.
-const VIEW: View = View { way: 0.1, turn: 0.1 };
-/// Time between two scans if it is not known, s.
-const PERIOD: f64 = 0.025;
+/// Maximum distance of two poses that count as the same, m and rad.
+const SAME_POSE: (f64, f64) = (1.0, 0.6);
+/// Motion after which a scan is independent evidence, m and rad. Scans from nearer poses show the same parts of the same walls
+/// and share the errors of the map and of ray casting, so together they are no more evidence than one. The distance is two cells
+/// of a typical map.
+const VIEW: View = View { distance: 0.1, rotation: 0.1 };
+/// Assumed time between two scans if it is unknown, s.
+const DEFAULT_PERIOD: f64 = 0.025;
+/// Minimum number of beams before the covariance can satisfy an error bound: with fewer, a small covariance would be chance.
+const MIN_BEAMS: usize = 8;
 
-/// With fewer beams than this, a small covariance would be luck.
-const FEWEST_BEAMS: usize = 8;
-
-/// A particle filter on one map.
+/// A particle filter on a map.
 pub struct ParticleFilter {
     model: Model,
     streams: Streams,
-    /// The cloud that follows the robot; none while the robot may be anywhere.
+    /// The cloud that tracks the robot; empty during global localization.
     particles: Particles,
-    /// The next generation, while it is made.
-    chosen: Particles,
-    /// The scan that is being taken in, or was last.
+    /// Buffer for the next generation while resampling.
+    resampled: Particles,
+    /// The current or last scan, and its likelihoods.
     evidence: Evidence,
     base_from_laser: Pose2,
-    /// What it leads to believe so far, and the logarithms of the weights then.
+    /// The belief after the beams so far.
     belief: Option<Belief>,
+    /// The log-weights of that belief.
     posterior: Vec<f32>,
-    /// Particles that there is time for.
-    affordable: usize,
-    /// Time since the scan before, s.
+    /// Number of particles that the time budget allows.
+    max_particles: usize,
+    /// Time since the previous scan, s.
     seconds: f64,
-    /// Evidence that the robot's motion has made new and that has not been used, in scans.
-    news: f64,
-    /// How much of the scans the cloud explains.
+    /// Evidence not used yet, as a fraction of an independent scan; it grows with the robot's motion.
+    novelty: f64,
+    /// The fraction of the scans that the pose explains, over time.
     agreement: Agreement,
-    /// While the robot may be elsewhere.
+    /// The global search, while the robot may be elsewhere.
     search: Option<Search>,
     /// Rays cast so far.
     rays: u64,
 }
 
 impl ParticleFilter {
-    /// A filter whose robot may be anywhere in the map. Fails when the system gives no threads.
+    /// Starts with global localization. Fails if the system cannot start the threads.
     pub fn new(
         map: OccupancyGrid,
         knobs: &LocalizationKnobs,
@@ -77,69 +78,69 @@ impl ParticleFilter {
             model: Model::new(map, knobs, motion, sensor)?,
             streams: Streams::new(knobs.seed),
             particles: Particles::default(),
-            chosen: Particles::default(),
+            resampled: Particles::default(),
             evidence: Evidence::default(),
             base_from_laser: Pose2::IDENTITY,
             belief: None,
             posterior: Vec::new(),
-            affordable: usize::MAX,
+            max_particles: usize::MAX,
             seconds: 0.0,
-            news: 1.0,
+            novelty: 1.0,
             agreement: Agreement::expecting(sensor.hit),
             search: None,
             rays: 0,
         };
-        filter.spread();
+        filter.start_globally();
         Ok(filter)
     }
 
-    /// The robot is near `map_from_base`; how near, says `covariance`, or the configuration.
+    /// Restarts near `map_from_base`, with this covariance, or else with that of the configuration.
     pub fn start_at(&mut self, map_from_base: &Pose2, covariance: Option<&PoseCovariance>) {
         let heading = self.model.knobs.initial_heading_error.to_radians();
         let position = self.model.knobs.initial_position_error;
         let deviations = nalgebra::Vector3::new(position, position, heading);
         let given = covariance.and_then(|covariance| covariance.cholesky()).map(|root| root.l());
-        self.start_about(map_from_base, &given.unwrap_or_else(|| PoseCovariance::from_diagonal(&deviations)));
+        self.start_around(map_from_base, &given.unwrap_or_else(|| PoseCovariance::from_diagonal(&deviations)));
     }
 
-    /// The robot is near this position; of its heading nothing is known.
-    pub fn start_in_place(&mut self, map_from_base: &Pose2) {
+    /// Restarts near this position with unknown heading.
+    pub fn start_at_position(&mut self, map_from_base: &Pose2) {
         let position = self.model.knobs.initial_position_error;
-        self.start_about(map_from_base, &PoseCovariance::from_diagonal(&nalgebra::Vector3::new(position, position, 0.0)));
+        self.start_around(map_from_base, &PoseCovariance::from_diagonal(&nalgebra::Vector3::new(position, position, 0.0)));
         let mut random = self.streams.next().stream(0);
         self.particles.theta.fill_with(|| random.random_range(-std::f32::consts::PI..std::f32::consts::PI));
     }
 
-    /// `root` times normal numbers is what the pose may be off.
-    fn start_about(&mut self, map_from_base: &Pose2, root: &PoseCovariance) {
-        self.forget();
+    /// Samples particles around a pose; `root` is the Cholesky factor of the covariance.
+    fn start_around(&mut self, map_from_base: &Pose2, root: &PoseCovariance) {
+        self.clear();
         let mut random = self.streams.next().stream(0);
         for _ in 0..self.model.knobs.particles {
-            let off = root * nalgebra::Vector3::from_fn(|_, _| StandardNormal.sample(&mut random));
-            let pose = Pose2::new(map_from_base.x + off.x, map_from_base.y + off.y, map_from_base.theta + off.z);
+            let error = root * nalgebra::Vector3::from_fn(|_, _| StandardNormal.sample(&mut random));
+            let pose = Pose2::new(map_from_base.x + error.x, map_from_base.y + error.y, map_from_base.theta + error.z);
             let pose = self.model.grid.pose_in_cells(&pose);
             self.particles.push([pose.x as f32, pose.y as f32, pose.theta as f32], self.model.scale(&mut random), 0.0);
         }
     }
 
-    /// The robot may be anywhere.
-    pub fn spread(&mut self) {
-        self.forget();
+    /// Restarts with global localization.
+    pub fn start_globally(&mut self) {
+        self.clear();
         self.search = Some(Search::new(&self.model, &mut self.streams));
     }
 
-    fn forget(&mut self) {
-        self.news = 1.0;
+    fn clear(&mut self) {
+        self.novelty = 1.0;
         self.belief = None;
         self.particles.clear();
         self.agreement = Agreement::expecting(self.model.sensor.hit);
         self.search = None;
     }
 
-    /// Puts so many particles where a robot could be, for practice, and tells what it would see there. What is believed means nothing
-    /// until [`Self::begin_anew`].
-    pub fn practise(&mut self, particles: u32, beams: usize) -> Observation {
-        let pose = self.model.somewhere(self.streams.next());
+    /// Places this many particles at a possible pose for warm-up, and returns the scan expected there. The belief is meaningless
+    /// until [`Self::reset`].
+    pub fn prepare_warm_up(&mut self, particles: u32, beams: usize) -> Observation {
+        let pose = self.model.random_pose(self.streams.next());
         self.start_at(&pose, None);
         self.resample(particles as usize);
         let angles: Vec<f64> = (0..beams).map(|k| k as f64 * 4.7 / beams as f64 - 2.35).collect();
@@ -147,38 +148,43 @@ impl ParticleFilter {
         Observation::of(angles, ranges)
     }
 
-    /// Forgets everything: as new.
-    pub fn begin_anew(&mut self) {
+    /// Restores the initial state.
+    pub fn reset(&mut self) {
         self.streams = Streams::new(self.model.knobs.seed);
-        self.affordable = usize::MAX;
-        self.spread();
+        self.max_particles = usize::MAX;
+        self.start_globally();
     }
 
-    /// The robot has moved: `motion`, seen from its start, took `seconds`.
+    /// Predicts the particles by `motion`, in the frame of its start, which took `seconds`.
     pub fn predict(&mut self, motion: &Pose2, seconds: f64) {
         self.seconds = seconds;
-        // What says that it stands may err.
-        self.news = VIEW.news(self.news, motion, self.model.motion.speed_error * seconds);
+        // The odometry of a robot at rest may be wrong, too.
+        self.novelty = VIEW.novelty(self.novelty, motion, self.model.motion.speed_error * seconds);
         if let Some(search) = &mut self.search {
-            search.moved(motion, seconds);
+            search.add_motion(motion, seconds);
         }
         let motion = UncertainMotion::new(&self.model.motion, motion, seconds);
         self.model.move_all(&mut self.particles, &motion, self.streams.next());
     }
 
-    /// Gives up particles if there are too many to move them and take in a scan of `beams` beams in the time there is. To be called
-    /// before the motion.
-    pub fn plan(&mut self, beams: usize, driver: &Driver) {
-        let wanted = self.model.knobs.particles as usize;
-        self.affordable = driver.outlook().map_or(usize::MAX, |outlook| particles_for(&outlook, wanted, beams));
-        if self.len() > self.affordable {
-            self.resample(self.affordable);
+    /// Reduces the number of particles if there is no time to move them all and to process a scan of `beams` beams. Call it
+    /// before [`Self::predict`].
+    pub fn plan(&mut self, beams: usize, runner: &ContractRunner) {
+        let configured = self.model.knobs.particles as usize;
+        self.max_particles = runner.remaining().map_or(usize::MAX, |remaining| particles_for(&remaining, configured, beams));
+        if self.len() > self.max_particles {
+            self.resample(self.max_particles);
         }
     }
 
-    /// The laser, at `base_from_laser`, has seen something: new evidence, each scan but once. As many of its beams are taken in as the
-    /// driver has time for. [`Self::finish`] is to follow.
-    pub fn update(&mut self, observation: Observation, base_from_laser: &Pose2, driver: &mut Driver) -> (Belief, StopReason) {
+    /// Weights the particles by a scan of the laser at `base_from_laser`; pass each scan only once. Processes as many beams as
+    /// the runner has time for. The caller must then call [`Self::finish`].
+    pub fn update(
+        &mut self,
+        observation: Observation,
+        base_from_laser: &Pose2,
+        runner: &mut ContractRunner,
+    ) -> (Belief, StopReason) {
         if let Some(search) = &mut self.search {
             search.offer(&observation, base_from_laser, self.seconds, &mut self.streams);
         }
@@ -187,105 +193,106 @@ impl ParticleFilter {
         let Particles { x, y, theta, .. } = &self.particles;
         let views = x.iter().zip(y).zip(theta).map(|((&x, &y), &theta)| mount.view(x, y, theta));
         self.evidence.begin(observation, views);
-        let stop_reason = driver.drive(&mut Update { filter: self, is_first: true });
-        (self.believe(), stop_reason)
+        let stop_reason = runner.run(&mut Update { filter: self, is_first: true });
+        (self.update_belief(), stop_reason)
     }
 
-    /// What can wait until the belief is out: takes in the beams that are left, if that is wanted, as far as `driver` has time for it,
-    /// chooses the particles that live on, and goes on looking for the robot where it may be elsewhere. Without an update before there is
-    /// nothing to be done.
-    pub fn finish(&mut self, take_in_all: bool, driver: &mut Driver) {
+    /// Does the work that can wait until the belief is published: processes the remaining beams (if `use_all_beams`) as far as
+    /// `runner` has time, resamples, and continues the global search if the robot may be elsewhere. Does nothing without a
+    /// preceding update.
+    pub fn finish(&mut self, use_all_beams: bool, runner: &mut ContractRunner) {
         let Some(mut belief) = self.belief.take() else { return };
-        if take_in_all && self.next_beams() > 0 {
-            driver.drive(&mut Update { filter: self, is_first: false });
-            belief = self.believe();
+        if use_all_beams && self.next_beams() > 0 {
+            runner.run(&mut Update { filter: self, is_first: false });
+            belief = self.update_belief();
             self.belief = None;
         }
         if !self.particles.is_empty() {
-            self.follow(&belief);
+            self.resample_and_check(&belief);
         }
         self.evidence.begin(Observation::default(), std::iter::empty());
-        self.seek(driver);
+        self.continue_search(runner);
         self.seconds = 0.0;
     }
 
-    /// Chooses the particles that live on, and judges what they believe.
-    fn follow(&mut self, belief: &Belief) {
+    /// Resamples if necessary, and starts or ends the global search according to how well the map explains the scans.
+    fn resample_and_check(&mut self, belief: &Belief) {
         std::mem::swap(&mut self.particles.log_weight, &mut self.posterior);
         if belief.beams > 0 {
-            self.news = 0.0;
+            self.novelty = 0.0;
             self.agreement = self.agreement_with(belief.explained);
         }
-        let (count, usual) = (self.len(), self.usual_count());
-        let is_off = count > usual || count < usual && self.model.knobs.min_particles.is_none();
-        if is_off || belief.effective < self.model.knobs.resample_below * count as f64 {
+        let (count, typical) = (self.len(), self.typical_count());
+        let is_atypical = count > typical || count < typical && self.model.knobs.min_particles.is_none();
+        if is_atypical || belief.effective < self.model.knobs.resample_below * count as f64 {
             self.resample(self.next_count());
         }
-        let part = self.model.knobs.recover_below;
-        if self.search.is_none() && self.agreement.is_doubtful(part) {
+        let fraction = self.model.knobs.recover_below;
+        if self.search.is_none() && self.agreement.is_poor(fraction) {
             self.search = Some(Search::new(&self.model, &mut self.streams));
-        } else if self.agreement.is_good(part) {
+        } else if self.agreement.is_good(fraction) {
             self.search = None;
         }
     }
 
-    /// Goes on with the search, and draws its conclusions: the cloud is given up only for a place that explains the scans decidedly better.
-    fn seek(&mut self, driver: &mut Driver) {
+    /// Continues the global search and evaluates its result: the cloud is replaced only by a pose that explains the scans clearly
+    /// better.
+    fn continue_search(&mut self, runner: &mut ContractRunner) {
         let Some(search) = &mut self.search else { return };
         let rays = search.rays();
         if search.has_work() {
-            // However fast scans come, there is some progress.
+            // At least one step, so that there is progress even if scans follow each other without pause.
             search.work(&self.model, &mut self.streams);
-            driver.drive(&mut Searching { search, model: &self.model, streams: &mut self.streams });
+            runner.run(&mut SearchWork { search, model: &self.model, streams: &mut self.streams });
         }
         self.rays += search.rays() - rays;
-        let Some((place, explained)) = search.place().filter(|_| !search.is_busy()) else { return };
+        let Some((candidate, explained)) = search.candidate().filter(|_| !search.is_busy()) else { return };
         let here = estimate::belief(&self.model, &self.particles, &relative(&self.particles.log_weight)).map_from_base;
-        let off = here.between(&place.map_from_base);
-        if !self.particles.is_empty() && off.distance() < SAME_PLACE.0 && off.theta.abs() < SAME_PLACE.1 {
-            self.agreement.settle();
+        let difference = here.between(&candidate.map_from_base);
+        if !self.particles.is_empty() && difference.distance() < SAME_POSE.0 && difference.theta.abs() < SAME_POSE.1 {
+            self.agreement.accept_current_level();
             self.search = None;
-        } else if self.particles.is_empty() || explained >= self.agreement.recent() + DECIDED {
-            self.particles = search.particles_there(&self.model, self.model.knobs.particles as usize, &mut self.streams);
+        } else if self.particles.is_empty() || explained >= self.agreement.recent() + MIN_ADVANTAGE {
+            self.particles = search.particles_at_candidate(&self.model, self.model.knobs.particles as usize, &mut self.streams);
             self.agreement = Agreement::expecting(self.model.sensor.hit);
             self.search = None;
         } else {
-            search.disbelieve();
+            search.reject_candidate();
         }
     }
 
-    /// Whether there are beams left for the cloud, and how many come next.
+    /// Number of beams in the next step; 0 when all are processed.
     pub(super) fn next_beams(&self) -> usize {
         self.evidence.next_beams().len()
     }
 
-    /// Beams taken in.
-    pub(super) fn weighed_beams(&self) -> usize {
-        self.evidence.weighed()
+    /// Number of beams processed so far.
+    pub(super) fn processed_beams(&self) -> usize {
+        self.evidence.processed()
     }
 
-    /// Takes in some beams more.
-    pub(super) fn weigh_next_beams(&mut self) {
+    /// Processes the beams of the next step.
+    pub(super) fn process_next_beams(&mut self) {
         self.rays += (self.next_beams() * self.len()) as u64;
-        self.evidence.weigh_next(&self.model.beams, &*self.model.caster, &self.model.workers);
+        self.evidence.process_next(&self.model.beams, &*self.model.caster, &self.model.workers);
     }
 
-    /// What is to be believed by as much of the scan as has been taken in. Without a cloud, what the search has led to.
-    pub(super) fn believe(&mut self) -> Belief {
+    /// Computes the belief after the beams so far. Without a cloud, it is that of the global search.
+    pub(super) fn update_belief(&mut self) -> Belief {
         let belief = match &mut self.search {
             Some(search) if self.particles.is_empty() => search.belief(&self.model),
-            _ => self.believe_cloud(),
+            _ => self.cloud_belief(),
         };
         self.belief = Some(belief.clone());
         belief
     }
 
-    fn believe_cloud(&mut self) -> Belief {
-        let beams = self.weighed_beams();
+    fn cloud_belief(&mut self) -> Belief {
+        let beams = self.processed_beams();
         self.posterior = if beams == 0 {
             self.particles.log_weight.clone()
         } else {
-            self.evidence.posterior(&self.particles, self.news, self.model.knobs.least_effective).0
+            self.evidence.posterior(&self.particles, self.novelty, self.model.knobs.least_effective).0
         };
         let mut belief = estimate::belief(&self.model, &self.particles, &relative(&self.posterior));
         belief.beams = beams;
@@ -293,49 +300,50 @@ impl ParticleFilter {
         let map_from_laser = belief.map_from_base * self.base_from_laser;
         belief.explained =
             if beams == 0 { self.agreement.recent() } else { self.model.explained(self.evidence.observation(), &map_from_laser) };
-        belief.is_sought = self.agreement_with(belief.explained).recent() < LEAST;
+        belief.is_unconfirmed = self.agreement_with(belief.explained).recent() < MIN_EXPLAINED;
         belief
     }
 
     fn agreement_with(&self, explained: f64) -> Agreement {
-        self.agreement.with(explained, if self.seconds > 0.0 { self.seconds } else { PERIOD })
+        self.agreement.with(explained, if self.seconds > 0.0 { self.seconds } else { DEFAULT_PERIOD })
     }
 
-    /// Chooses `count` particles by their weights.
+    /// Resamples `count` particles by their weights.
     fn resample(&mut self, count: usize) {
         let mut random = self.streams.next().stream(0);
         let weights = relative(&self.particles.log_weight);
-        self.chosen.clear();
+        self.resampled.clear();
         for index in low_variance(&weights, count, random.random()) {
-            self.chosen.push(self.particles.pose(index), self.particles.scale[index], 0.0);
+            self.resampled.push(self.particles.pose(index), self.particles.scale[index], 0.0);
         }
-        std::mem::swap(&mut self.particles, &mut self.chosen);
+        std::mem::swap(&mut self.particles, &mut self.resampled);
     }
 
-    /// Particles when the cloud is compact.
-    fn usual_count(&self) -> usize {
-        (self.model.knobs.particles as usize).min(self.affordable)
+    /// Number of particles of a compact cloud.
+    fn typical_count(&self) -> usize {
+        (self.model.knobs.particles as usize).min(self.max_particles)
     }
 
-    /// How many particles the next generation has.
+    /// Number of particles of the next generation.
     fn next_count(&self) -> usize {
-        let (now, usual) = (self.len(), self.usual_count());
-        let least = self.model.knobs.min_particles.map_or(usual, |least| (least as usize).min(usual));
-        if now <= usual && least == usual {
-            return usual;
+        let (now, typical) = (self.len(), self.typical_count());
+        let minimum = self.model.knobs.min_particles.map_or(typical, |minimum| (minimum as usize).min(typical));
+        if now <= typical && minimum == typical {
+            return typical;
         }
         let weights = relative(&self.particles.log_weight);
-        let chosen = low_variance(&weights, now, 0.5);
+        let kept = low_variance(&weights, now, 0.5);
         let error = self.model.knobs.kld_error;
-        kld_count(&self.particles, chosen, self.model.grid.resolution() as f32, error).clamp(least, now.max(usual))
+        kld_count(&self.particles, kept, self.model.grid.resolution() as f32, error).clamp(minimum, now.max(typical))
     }
 
-    /// Number of particles that follow the robot.
+    /// Number of particles that track the robot.
     pub(super) fn len(&self) -> usize {
         self.particles.len()
     }
 
-    /// What a laser at `map_from_laser` would see in the map at these angles, rad: lengths, m; infinite where nothing is in reach.
+    /// The ranges that a laser at `map_from_laser` would measure in the map at these angles, rad: in m, infinite if nothing is
+    /// within range.
     pub fn expected_ranges(&self, map_from_laser: &Pose2, angles: impl IntoIterator<Item = f64>) -> Vec<f64> {
         self.model.expected_ranges(map_from_laser, &Fan::new(angles))
     }
@@ -345,12 +353,12 @@ impl ParticleFilter {
         &self.model.grid
     }
 
-    /// Rays cast for scans so far: the work that updates took.
+    /// Number of rays cast for scans so far, a measure of the work of the updates.
     pub fn rays_cast(&self) -> u64 {
         self.rays
     }
 
-    /// Poses of the particles, in the map.
+    /// Poses of the particles in the map.
     pub fn poses(&self) -> impl ExactSizeIterator<Item = Pose2> + '_ {
         let particles = match &self.search {
             Some(search) if self.particles.is_empty() => search.particles(),
@@ -363,15 +371,15 @@ impl ParticleFilter {
     }
 }
 
-/// Taking in a scan.
+/// The processing of a scan as interruptible work.
 struct Update<'a> {
     filter: &'a mut ParticleFilter,
-    /// Whether it begins here, or goes on after an answer.
+    /// Whether this is the first part of the processing; else it continues after an answer.
     is_first: bool,
 }
 
-impl Work for Update<'_> {
-    /// Iterations in beams of all particles, all else in particles.
+impl AnytimeAlgorithm for Update<'_> {
+    /// The size of an iteration is its number of rays; of the other phases, the number of particles.
     fn size(&self, phase: Phase) -> usize {
         let particles = self.filter.len();
         match phase {
@@ -387,17 +395,18 @@ impl Work for Update<'_> {
         }
     }
 
-    /// The particles have been moved already: [`particles_for`] came before that. How many beams there is time for shows.
-    fn plan(&mut self, _outlook: &Outlook) {}
+    /// Nothing to plan: [`particles_for`] was called before the particles were moved, and the number of beams follows from the
+    /// time.
+    fn plan(&mut self, _remaining: &RemainingBudget) {}
 
     fn step(&mut self) -> Option<StopReason> {
-        self.filter.weigh_next_beams();
+        self.filter.process_next_beams();
         (self.filter.next_beams() == 0).then_some(StopReason::Converged)
     }
 
     fn is_good_enough(&mut self, contract: &Contract) -> bool {
-        self.filter.weighed_beams() >= FEWEST_BEAMS && {
-            let belief = self.filter.believe();
+        self.filter.processed_beams() >= MIN_BEAMS && {
+            let belief = self.filter.update_belief();
             let error = ErrorEstimate::of_covariance(&belief.covariance);
             belief.is_localized() && contract.is_satisfied_by(error.translation, error.rotation)
         }

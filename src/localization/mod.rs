@@ -1,9 +1,9 @@
-//! A particle filter: where a robot is on a map (Monte Carlo localization; Dellaert et al., 1999).
+//! A particle filter that localizes a robot on a map (Monte Carlo localization; Dellaert et al., 1999).
 //!
-//! [`filter::ParticleFilter`] is moved by [`motion`] and corrected by an [`observation`] through the beam model of [`sensor`]. It
-//! keeps to its seed: the same calls give the same answers, bit for bit, on any number of threads.
+//! [`filter::ParticleFilter`] is predicted by [`motion`] and corrected by an [`observation`] through the beam model of
+//! [`sensor`]. It is deterministic for its seed: the same calls give bit-identical results on any number of threads.
 
-#![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // particles live in single precision, within the map
+#![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // particles are in single precision, within the map
 
 mod agreement;
 pub mod estimate;
@@ -31,45 +31,47 @@ use crate::raycasting::RayCasting;
 crate::knobs! {
     /// The particle filter.
     pub struct LocalizationKnobs {
-        /// The map: a YAML file of `map_server`; unset: the node takes the one on the topic `map`.
+        /// The map: a YAML file of `map_server`; unset: the node uses the one on the topic `map`.
         map: Option<String> = None;
-        /// Where the base is at the start, `[x, y, yaw]` on the map; unset: it may be anywhere.
+        /// Initial pose of the base on the map, `[x, y, yaw]`; unset: unknown, global localization.
         initial_pose: Option<Pose2> = None, unit "m, m, rad";
-        /// A timer with this period drives the updates, each with the latest scan, if it is new, and odometry; 0: every scan does.
+        /// If set, a timer with this period triggers the updates, each with odometry and the latest scan, if that is new; 0:
+        /// every scan triggers an update.
         update_period: Seconds = Seconds(0.0), in 0 to 10, unit "s";
-        /// Particles, when the robot knows where it is.
+        /// Number of particles while the robot is localized.
         particles: u32 = 4000, in 10 to 1_000_000;
-        /// While the cloud is compact, as few as this will do (KLD sampling); unset: always `particles`.
+        /// Minimum number of particles while the cloud is compact (KLD sampling); unset: always `particles`.
         min_particles: Option<u32> = None, in 10 to 1_000_000;
-        /// Particles to begin with when the robot may be anywhere; their number falls as the cloud contracts (KLD sampling). They take in a scan
-        /// in the course of several updates.
+        /// Initial number of particles of the global search; it falls as the cloud contracts (KLD sampling). The search processes
+        /// one scan over several updates.
         global_particles: u32 = 100_000, in 100 to 10_000_000;
-        /// KLD sampling: bound on the error of the distribution.
+        /// KLD sampling: maximum error of the distribution.
         kld_error: f64 = 0.05, in 0.001 to 1;
-        /// Resample when the effective number of particles falls below this part of them.
+        /// Resample when the effective number of particles falls below this fraction of all particles.
         resample_below: f64 = 0.5, in 0 to 1;
-        /// A scan that would leave a smaller part of the particles effective is believed less, until it leaves so many.
+        /// Minimum fraction of effective particles after a scan: the likelihood of a scan that would leave fewer is tempered
+        /// until it leaves as many.
         least_effective: f64 = 0.02, in 0 to 0.5;
-        /// The same while the robot may be anywhere: no place is given up in haste.
+        /// The same for the global search: no hypothesis is dropped too early.
         global_least_effective: f64 = 0.2, in 0 to 0.5;
-        /// The robot is looked for all over the map, too, when the map explains a smaller part of the beams than this part of what it uses
-        /// to; it is taken to be elsewhere only once that explains the scans decidedly better. 0: never.
+        /// The global search starts, beside tracking, when the map explains a fraction of the beams below this factor times its
+        /// long-term average. The pose is replaced only by one that explains the scans clearly better. 0: never.
         recover_below: f64 = 0.85, in 0 to 1;
-        /// How far an initial pose without covariance may be off.
+        /// Standard deviation of the position of an initial pose without covariance.
         initial_position_error: f64 = 0.3, in 0 to 100, unit "m";
-        /// How far its heading may be off.
+        /// Standard deviation of its heading.
         initial_heading_error: f64 = 10.0, in 0 to 180, unit "deg";
-        /// How the lengths of beams are found; unset: `table` where it takes at most 256 MB, else `cddt`.
+        /// Ray casting method; unset: `table` if it needs at most 256 MB, else `cddt`.
         ray_casting: Option<RayCasting> = None;
-        /// Threads; 0: one for each core. The answer does not depend on it.
+        /// Number of threads; 0: one per core. The result does not depend on it.
         threads: u32 = 0, in 0 to 256;
-        /// Another seed: other random numbers.
+        /// Seed of the random numbers.
         seed: u32 = 1;
     }
 }
 
 impl LocalizationKnobs {
-    /// The timer that drives the updates, for the first time one period after `now`; `None`: the scans do.
+    /// The timer that triggers the updates, first one period after `now`; `None`: the scans do.
     pub fn timer(&self, now: Duration) -> Option<Timer> {
         let period = Duration::try_from_secs_f64(self.update_period.0).ok().filter(|period| !period.is_zero())?;
         Some(Timer::new(period, now + period))

@@ -1,23 +1,23 @@
-//! What a filter sees of a scan: some of its beams.
+//! An observation: the beams of a scan that the filter uses.
 
 use crate::raycasting::Fan;
 use crate::scan::Scan;
 use crate::time::Stamp;
 
-/// Some beams of a scan, seen from the laser: in an order in which the first few, however many, are spread all over the scan.
+/// Beams of a scan in the laser's frame. They are ordered such that the first few, however many, are spread over the whole scan.
 #[derive(Clone, Debug, Default)]
 pub struct Observation {
-    /// When the scan was taken.
+    /// Stamp of the scan.
     pub stamp: Stamp,
     pub(super) fan: Fan,
-    /// Lengths, m; infinite where the laser saw nothing within its reach.
+    /// Ranges, m; infinite if a beam was out of range.
     pub(super) ranges: Vec<f64>,
-    /// The laser's reach, m.
-    pub(super) reach: f64,
+    /// Maximum range of the laser, m.
+    pub(super) max_range: f64,
 }
 
 impl Observation {
-    /// Up to `beams` beams, evenly spread. That nothing is within reach says something too.
+    /// Selects up to `beams` beams, evenly spread. Beams that were out of range count, too.
     pub fn new(scan: &Scan, beams: usize) -> Self {
         let beams = beams.min(scan.len());
         let (mut angles, mut ranges) = (Vec::with_capacity(beams), Vec::with_capacity(beams));
@@ -25,19 +25,19 @@ impl Observation {
         order.sort_by_key(|k| k.reverse_bits());
         for ray in order.into_iter().map(|k| (2 * k + 1) * scan.len() / (2 * beams)) {
             let range = scan.ranges()[ray];
-            let nothing_there = scan.saw_nothing(ray);
-            if nothing_there || !range.is_nan() {
+            let is_out_of_range = scan.is_out_of_range(ray);
+            if is_out_of_range || !range.is_nan() {
                 let direction = scan.beams().directions()[ray];
                 angles.push(direction.y.atan2(direction.x));
-                ranges.push(if nothing_there { f64::INFINITY } else { range });
+                ranges.push(if is_out_of_range { f64::INFINITY } else { range });
             }
         }
-        Self { stamp: scan.stamp(), reach: scan.reach(), ..Self::of(angles, ranges) }
+        Self { stamp: scan.stamp(), max_range: scan.max_range(), ..Self::of(angles, ranges) }
     }
 
-    /// Beams at these angles, rad, with these lengths, m.
+    /// Beams at these angles, rad, with these ranges, m.
     pub(super) fn of(angles: Vec<f64>, ranges: Vec<f64>) -> Self {
-        Self { stamp: Stamp::default(), fan: Fan::new(angles), ranges, reach: f64::INFINITY }
+        Self { stamp: Stamp::default(), fan: Fan::new(angles), ranges, max_range: f64::INFINITY }
     }
 
     /// Number of beams.
@@ -45,7 +45,7 @@ impl Observation {
         self.ranges.len()
     }
 
-    /// Whether the scan says nothing.
+    /// Whether there are no beams.
     pub fn is_empty(&self) -> bool {
         self.ranges.is_empty()
     }
@@ -58,7 +58,7 @@ mod tests {
     use std::sync::Arc;
 
     #[test]
-    fn the_first_beams_are_spread_all_over_the_scan() {
+    fn the_first_beams_are_spread_over_the_whole_scan() {
         let geometry = Arc::new(BeamGeometry::new(-2.0, 4.0 / 1080.0, 1081));
         let scan = Scan::new(
             Stamp::default(),

@@ -1,6 +1,6 @@
-//! The cloud of particles, a structure of arrays: each step streams through the few it needs.
+//! The particles as a structure of arrays: each step reads only the arrays that it needs.
 
-/// Poses of the base in the grid, with their weights.
+/// Poses of the base in grid coordinates, with their weights.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Particles {
     /// Columns, with fractions.
@@ -9,7 +9,7 @@ pub(super) struct Particles {
     pub(super) y: Vec<f32>,
     /// Headings, rad.
     pub(super) theta: Vec<f32>,
-    /// Parts by which distances are longer than odometry says.
+    /// Relative errors of odometry's distances: true distances are longer by this fraction.
     pub(super) scale: Vec<f32>,
     /// Logarithms of the weights, up to a constant.
     pub(super) log_weight: Vec<f32>,
@@ -45,13 +45,13 @@ impl Particles {
     }
 }
 
-/// The weights to logarithms of them, the largest 1.
+/// Converts log-weights to weights, scaled so that the largest is 1.
 pub(super) fn relative(log_weights: &[f32]) -> Vec<f32> {
     let largest = log_weights.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     log_weights.iter().map(|log_weight| (log_weight - largest).exp()).collect()
 }
 
-/// How many particles of equal weight would say as much (Kish).
+/// Effective number of particles (Kish).
 pub(super) fn effective_number(weights: &[f32]) -> f64 {
     let (sum, squares) =
         weights.iter().map(|&weight| f64::from(weight)).fold((0.0, 0.0), |(sum, squares), w| (sum + w, squares + w * w));

@@ -1,28 +1,28 @@
-//! Whether a search is on the wrong track: scans fit worse than they would (after augmented MCL; Thrun et al., 2005).
+//! Detects a global search with only wrong hypotheses: scans fit worse than expected (after augmented MCL; Thrun et al., 2005).
 
-/// Weight of the newest fit in the fast and in the slow average.
+/// Weights of the newest fit in the fast and in the slow average.
 const RATES: (f64, f64) = (0.1, 0.002);
-/// Scans that the averages begin with before they are compared.
-const SETTLING: u32 = 20;
+/// Minimum number of scans before the averages are compared.
+const MIN_SCANS: u32 = 20;
 
 /// Averages of how well scans fit.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Fit {
     fast: f64,
     slow: f64,
-    /// What was expected beforehand, and as slowly given up where scans say otherwise.
+    /// Expected fit; it decays towards the measured fits as slowly as the slow average.
     expected: f64,
     scans: u32,
 }
 
 impl Fit {
-    /// For a robot that has been looked for all over the map: it may have been found in the wrong place, where nothing ever fits.
-    /// What fits in the right one, the model says.
+    /// Starts with the fit that the model expects at the right pose. Without it, a search that starts with only wrong hypotheses,
+    /// where nothing ever fits, would not be detected.
     pub(super) fn expecting(likelihood: f64) -> Self {
         Self { expected: likelihood, ..Self::default() }
     }
 
-    /// Takes the likelihood of a scan, per beam.
+    /// Adds the likelihood per beam of a scan.
     pub(super) fn add(&mut self, likelihood: f64) {
         self.scans = self.scans.saturating_add(1);
         // Plain means at first.
@@ -32,13 +32,13 @@ impl Fit {
         self.expected += RATES.1 * (likelihood - self.expected);
     }
 
-    /// Whether scans fit worse than `part` of what they use to.
-    pub(super) fn is_lost(&self, part: f64) -> bool {
-        self.scans >= SETTLING && self.fast < part * self.usual()
+    /// Whether scans fit worse than `ratio` times the typical fit.
+    pub(super) fn is_lost(&self, ratio: f64) -> bool {
+        self.scans >= MIN_SCANS && self.fast < ratio * self.typical()
     }
 
-    /// What scans use to fit, or are expected to.
-    fn usual(&self) -> f64 {
+    /// The typical fit of scans, or the expected one if it is higher.
+    fn typical(&self) -> f64 {
         self.slow.max(self.expected)
     }
 }
@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fits_worse_than_usual_or_than_expected_is_lost() {
+    fn a_fit_worse_than_typical_or_expected_means_lost() {
         let after = |mut fit: Fit, likelihoods: &[f64]| {
             for &likelihood in likelihoods {
                 fit.add(likelihood);

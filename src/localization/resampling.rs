@@ -1,15 +1,15 @@
-//! Which particles live on, and how many.
+//! Resampling: which particles are kept, and how many.
 
 use std::collections::HashSet;
 
 use super::particles::Particles;
 
-/// Side of the bins of KLD sampling: m, rad.
-const BIN: (f32, f32) = (0.5, 0.175);
+/// Size of the bins of KLD sampling: m, rad.
+const BIN_SIZE: (f32, f32) = (0.5, 0.175);
 /// Upper 1 % quantile of the normal distribution.
 const QUANTILE: f64 = 2.326;
 
-/// Low-variance resampling: `count` indices, each as often as its weight demands, to less than one. `start` is random in [0, 1).
+/// Low-variance resampling: `count` indices, each as often as its weight requires, within one. `start` is random in [0, 1).
 pub(super) fn low_variance(weights: &[f32], count: usize, start: f64) -> impl Iterator<Item = usize> {
     let total: f64 = weights.iter().map(|&weight| f64::from(weight)).sum();
     let step = total / count as f64;
@@ -24,8 +24,8 @@ pub(super) fn low_variance(weights: &[f32], count: usize, start: f64) -> impl It
     })
 }
 
-/// How many particles it takes to represent the distribution of those at `chosen` to an error of `error`, with 99 % certainty
-/// (Fox, 2003).
+/// Number of particles needed to represent the distribution of those at `chosen` with an error of at most `error`, with 99 %
+/// probability (Fox, 2003).
 pub(super) fn kld_count(particles: &Particles, chosen: impl Iterator<Item = usize>, resolution: f32, error: f64) -> usize {
     let mut bins = HashSet::new();
     let mut last = usize::MAX;
@@ -33,13 +33,13 @@ pub(super) fn kld_count(particles: &Particles, chosen: impl Iterator<Item = usiz
         if index != last {
             let [x, y, theta] = particles.pose(index);
             let bin = |value: f32, size: f32| (value / size).floor() as i32;
-            bins.insert((bin(x * resolution, BIN.0), bin(y * resolution, BIN.0), bin(theta, BIN.1)));
+            bins.insert((bin(x * resolution, BIN_SIZE.0), bin(y * resolution, BIN_SIZE.0), bin(theta, BIN_SIZE.1)));
         }
         last = index;
     }
     let k = bins.len().saturating_sub(1).max(1) as f64;
-    let part = 2.0 / (9.0 * k);
-    (k / (2.0 * error) * (1.0 - part + part.sqrt() * QUANTILE).powi(3)).ceil() as usize
+    let term = 2.0 / (9.0 * k);
+    (k / (2.0 * error) * (1.0 - term + term.sqrt() * QUANTILE).powi(3)).ceil() as usize
 }
 
 #[cfg(test)]
@@ -49,7 +49,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn everyone_is_chosen_as_often_as_its_weight_demands(weights in prop::collection::vec(0.01_f32..1.0, 1..50), count in 1_usize..200, start in 0.0..1.0) {
+        fn each_particle_is_chosen_as_often_as_its_weight_requires(weights in prop::collection::vec(0.01_f32..1.0, 1..50), count in 1_usize..200, start in 0.0..1.0) {
             let chosen: Vec<usize> = low_variance(&weights, count, start).collect();
             let total: f32 = weights.iter().sum();
             prop_assert_eq!(chosen.len(), count);
@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wider_cloud_takes_more_particles() {
+    fn a_wider_cloud_needs_more_particles() {
         let mut particles = Particles::default();
         (0..100).for_each(|i| particles.push([i as f32 * 20.0, 0.0, 0.0], 0.0, 0.0));
         let few = kld_count(&particles, 0..2, 0.05, 0.05);

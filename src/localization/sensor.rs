@@ -1,104 +1,109 @@
-//! The beam model (Thrun et al., 2005), computed beforehand: how likely a range is where the map has another.
+//! The beam model (Thrun et al., 2005) as a precomputed table: the likelihood of a measured range for each expected range.
 
 crate::knobs! {
     /// The beam model.
     pub struct SensorKnobs {
-        /// Beams used of a scan.
+        /// Number of beams used of a scan.
         beams: u32 = 60, in 1 to 10000;
-        /// Part of the beams that end at the wall the map has.
+        /// Fraction of the beams that end at the expected wall of the map.
         hit: f64 = 0.8, in 0 to 1;
-        /// Part that end before it, at what the map does not have.
+        /// Fraction that end before it, at an object missing in the map.
         short: f64 = 0.05, in 0 to 1;
-        /// Part that do not come back.
+        /// Fraction that return no range.
         max: f64 = 0.05, in 0 to 1;
-        /// Part that end anywhere.
+        /// Fraction that end at a random range.
         random: f64 = 0.1, in 0.000_001 to 1;
-        /// Standard deviation of ranges about the map's: noise of the laser, and the size of cells.
+        /// Standard deviation of ranges from the expected ones: laser noise and cell size.
         hit_error: f64 = 0.08, in 0.001 to 10, unit "m";
-        /// The same while the robot may be anywhere: particles are too far apart for more.
+        /// The same for the global search: its particles are too sparse for a smaller one.
         global_hit_error: f64 = 0.4, in 0.001 to 10, unit "m";
-        /// Mean distance of what the map does not have.
+        /// Mean distance of objects missing in the map.
         short_distance: f64 = 2.0, in 0.01 to 100, unit "m";
-        /// Beams go no farther; at most the laser's `range_max`.
+        /// Maximum range; at most the laser's `range_max`.
         max_range: f64 = 30.0, in 0.1 to 1000, unit "m";
-        /// The likelihood's root of this order is taken: neighbouring beams are not independent.
+        /// Order of the root taken of the likelihood of a scan, because neighbouring beams are correlated.
         squash: f64 = 2.2, in 1 to 100;
     }
 }
 
 impl SensorKnobs {
-    /// The model for a robot that may be anywhere.
+    /// The beam model of the global search.
     pub(super) fn global(&self) -> Self {
         Self { hit_error: self.global_hit_error.max(self.hit_error), ..self.clone() }
     }
 }
 
-/// Width of the classes of ranges, m.
-const CLASS: f64 = 0.025;
+/// Width of the range bins, m.
+const BIN_WIDTH: f64 = 0.025;
 
-/// Logarithms of likelihoods, by class of the range measured, then of the range in the map.
+/// Log-likelihoods, by the bin of the measured range, then by the bin of the expected range.
 #[derive(Clone, Debug)]
 pub(super) struct BeamTable {
-    classes: usize,
+    bins: usize,
     log_likelihoods: Vec<f32>,
-    /// Classes in a cell.
-    classes_per_cell: f32,
+    /// Range bins per cell.
+    bins_per_cell: f32,
 }
 
 impl BeamTable {
     pub(super) fn new(knobs: &SensorKnobs, resolution: f64) -> Self {
-        let last = (knobs.max_range / CLASS).ceil() as usize;
-        let classes = last + 1; // the last one: nothing within reach
-        let mut log_likelihoods = Vec::with_capacity(classes * classes);
-        for measured in 0..classes {
-            for expected in 0..classes {
+        let last = (knobs.max_range / BIN_WIDTH).ceil() as usize;
+        let bins = last + 1; // the last one: out of range
+        let mut log_likelihoods = Vec::with_capacity(bins * bins);
+        for measured in 0..bins {
+            for expected in 0..bins {
                 let likelihood = likelihood(knobs, measured, expected, last);
                 log_likelihoods.push((likelihood.ln() / knobs.squash) as f32);
             }
         }
-        Self { classes, log_likelihoods, classes_per_cell: (resolution / CLASS) as f32 }
+        Self { bins, log_likelihoods, bins_per_cell: (resolution / BIN_WIDTH) as f32 }
     }
 
-    /// The rows of the table for beams that measured these ranges, m.
+    /// The rows of the table for beams with these measured ranges, m.
     pub(super) fn rows(&self, ranges: &[f64]) -> Vec<&[f32]> {
         let row = |&range: &f64| {
-            let class = ((range / CLASS) as usize).min(self.classes - 1);
-            &self.log_likelihoods[class * self.classes..][..self.classes]
+            let bin = ((range / BIN_WIDTH) as usize).min(self.bins - 1);
+            &self.log_likelihoods[bin * self.bins..][..self.bins]
         };
         ranges.iter().map(row).collect()
     }
 
-    /// Adds the logarithm of the likelihood of one beam, by its row, to that of each particle where the map has `lengths`, cells. What
-    /// is beyond the laser's `reach`, m, it does not see.
+    /// Adds the log-likelihood of one beam, given by its row, to that of each particle whose expected ranges are `lengths`,
+    /// cells. Expected ranges beyond the laser's `max_range`, m, count as out of range.
     #[inline]
-    pub(super) fn add_log_likelihoods(&self, row: &[f32], reach: f64, lengths: &[f32], sums: &mut [f32]) {
-        let (row, last) = (&row[..self.classes], self.classes - 1);
-        let reach = ((reach / CLASS) as usize).min(last);
+    pub(super) fn add_log_likelihoods(&self, row: &[f32], max_range: f64, lengths: &[f32], sums: &mut [f32]) {
+        let (row, last) = (&row[..self.bins], self.bins - 1);
+        let max_range = ((max_range / BIN_WIDTH) as usize).min(last);
         for (sum, length) in sums.iter_mut().zip(lengths) {
-            let class = (length * self.classes_per_cell) as usize;
-            *sum += row[if class < reach { class } else { last }];
+            let bin = (length * self.bins_per_cell) as usize;
+            *sum += row[if bin < max_range { bin } else { last }];
         }
     }
 }
 
-/// The geometric mean of the likelihoods that `model` gives to beams that are as `truth` expects.
+/// The geometric mean of the likelihoods that `model` assigns to beams distributed according to `truth`.
 pub(super) fn expected_fit(truth: &SensorKnobs, model: &SensorKnobs) -> f64 {
-    let last = (truth.max_range / CLASS).ceil() as usize;
+    let last = (truth.max_range / BIN_WIDTH).ceil() as usize;
     let of = |knobs, measured| likelihood(knobs, measured, last / 4, last);
     let likelihoods = (0..=last).map(|measured| (of(truth, measured), of(model, measured)));
-    likelihoods.filter(|&(_, likelihood)| likelihood > 0.0).map(|(share, likelihood)| share * likelihood.ln()).sum::<f64>().exp()
+    likelihoods
+        .filter(|&(_, likelihood)| likelihood > 0.0)
+        .map(|(fraction, likelihood)| fraction * likelihood.ln())
+        .sum::<f64>()
+        .exp()
 }
 
-/// The share of ranges in a class, where the map has the range of another.
+/// Probability of a measured range bin, given the bin of the expected range.
 fn likelihood(knobs: &SensorKnobs, measured: usize, expected: usize, last: usize) -> f64 {
     if measured == last {
         return knobs.max + if expected == last { knobs.hit } else { 0.0 } + knobs.random / last as f64;
     }
-    let off = (measured as f64 - expected as f64) * CLASS / knobs.hit_error;
-    let at_wall = if expected == last { 0.0 } else { (-0.5 * off * off).exp() * CLASS / (knobs.hit_error * 2.506_628_274_631) };
+    let off = (measured as f64 - expected as f64) * BIN_WIDTH / knobs.hit_error;
+    let at_wall =
+        if expected == last { 0.0 } else { (-0.5 * off * off).exp() * BIN_WIDTH / (knobs.hit_error * 2.506_628_274_631) };
     let before = if measured < expected {
-        let part = |class: usize| (-(class as f64) * CLASS / knobs.short_distance).exp();
-        (part(measured) - part(measured + 1)) / (1.0 - part(expected))
+        let tail = |bin: usize| (-(bin as f64) * BIN_WIDTH / knobs.short_distance).exp();
+        (tail(measured) - tail(measured + 1)) / (1.0 - tail(expected))
     } else {
         0.0
     };
@@ -110,12 +115,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_likelihoods_of_all_ranges_add_up_to_one() {
+    fn the_likelihoods_of_all_ranges_sum_to_one() {
         let knobs = SensorKnobs { max_range: 10.0, ..SensorKnobs::default() };
         let last = 400;
         for expected in [40, 200, 360, last] {
             let sum: f64 = (0..=last).map(|measured| likelihood(&knobs, measured, expected, last)).sum();
-            // Of an object before a wall that is not there, and of a wall, not both.
+            // Only approximately 1, because ranges are discretized.
             assert!((0.94..1.01).contains(&sum), "{expected}: {sum}");
         }
     }

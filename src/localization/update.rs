@@ -1,31 +1,32 @@
-//! Particles and beams that fit into the time there is; the search as work that can be stopped.
+//! The number of particles that the time budget allows, and the global search as interruptible work.
 
 use super::model::Model;
 use super::search::Search;
 use super::streams::Streams;
 use crate::anytime::contract::Contract;
 use crate::anytime::cost_model::Phase;
-use crate::anytime::{Outlook, Work};
+use crate::anytime::{AnytimeAlgorithm, RemainingBudget};
 use crate::matching::StopReason;
 
-/// Of the beams wanted this part is to be cast; rather than fewer, particles are given up.
-const LEAST_BEAMS: f64 = 0.25;
-/// Fewer particles than this are no cloud.
-const FEWEST_PARTICLES: usize = 100;
-/// Looking for the robot all over the map, after an answer: bounded in itself, and in whole steps. The costs of these are not those of
-/// following it, and nothing is planned by them.
-pub(super) struct Searching<'a> {
+/// Minimum fraction of the configured beams to process. If the time is short, the number of particles is reduced instead.
+const MIN_BEAM_FRACTION: f64 = 0.25;
+/// Minimum number of particles that represent a cloud.
+const MIN_PARTICLES: usize = 100;
+
+/// The global search as work after an answer. It is bounded in itself and proceeds in whole steps. Its costs differ from those of
+/// tracking and are not used for planning.
+pub(super) struct SearchWork<'a> {
     pub(super) search: &'a mut Search,
     pub(super) model: &'a Model,
     pub(super) streams: &'a mut Streams,
 }
 
-impl Work for Searching<'_> {
+impl AnytimeAlgorithm for SearchWork<'_> {
     fn size(&self, _phase: Phase) -> usize {
         0
     }
 
-    fn plan(&mut self, _outlook: &Outlook) {}
+    fn plan(&mut self, _remaining: &RemainingBudget) {}
 
     fn step(&mut self) -> Option<StopReason> {
         if self.search.has_work() {
@@ -39,16 +40,16 @@ impl Work for Searching<'_> {
     }
 }
 
-/// How many of `particles` there is time to move and to compare with a part of `beams`.
-pub(super) fn particles_for(outlook: &Outlook, particles: usize, beams: usize) -> usize {
-    let beams = ((beams as f64 * LEAST_BEAMS).ceil() as usize).max(1);
+/// Number of particles, at most `particles`, that there is time to move and to compare with the minimum fraction of `beams`.
+pub(super) fn particles_for(remaining: &RemainingBudget, particles: usize, beams: usize) -> usize {
+    let beams = ((beams as f64 * MIN_BEAM_FRACTION).ceil() as usize).max(1);
     let fits = |particles: usize| {
         let pieces = [(Phase::Setup, particles), (Phase::Iteration, particles * beams), (Phase::Closing, particles)];
-        outlook.allows_for(&pieces)
+        remaining.fits(&pieces)
     };
     let mut count = particles;
-    while !fits(count) && count > FEWEST_PARTICLES {
-        count = (count * 7 / 8).max(FEWEST_PARTICLES);
+    while !fits(count) && count > MIN_PARTICLES {
+        count = (count * 7 / 8).max(MIN_PARTICLES);
     }
     count
 }
@@ -61,7 +62,7 @@ mod tests {
     use crate::anytime::cost_model::CostModel;
 
     #[test]
-    fn particles_are_given_up_as_the_time_is_short() {
+    fn fewer_particles_are_used_when_time_is_short() {
         let mut costs = CostModel::new(0.999);
         for particles in [128, 1024, 4096] {
             costs.observe(Phase::Setup, particles, Duration::from_nanos(100) * u32::try_from(particles).unwrap());
@@ -71,11 +72,11 @@ mod tests {
         costs.learn();
         let planned = |microseconds| {
             let left = Duration::from_micros(microseconds);
-            particles_for(&Outlook::new(&costs, left, left), 4000, 60)
+            particles_for(&RemainingBudget::new(&costs, left, left), 4000, 60)
         };
-        assert_eq!([planned(5000), planned(2100), planned(1)], [4000, 4000, FEWEST_PARTICLES]);
+        assert_eq!([planned(5000), planned(2100), planned(1)], [4000, 4000, MIN_PARTICLES]);
         assert!((1700..=2000).contains(&planned(1000)), "{}", planned(1000));
         let (unknown, left) = (CostModel::new(0.9), Duration::from_nanos(1));
-        assert_eq!(particles_for(&Outlook::new(&unknown, left, left), 4000, 60), 4000, "nothing is known yet");
+        assert_eq!(particles_for(&RemainingBudget::new(&unknown, left, left), 4000, 60), 4000, "nothing is known yet");
     }
 }

@@ -1,19 +1,19 @@
-//! What scans show of the same place: together they are no more evidence than one.
+//! How much new evidence a scan carries: scans from the same pose are together no more evidence than one.
 
 use crate::geometry::Pose2;
 
-/// How far the robot must move for a scan to show something else, and so to err on its own.
+/// Motion after which a scan shows something new, so that its errors are independent of the previous ones.
 pub(super) struct View {
-    /// Way, m.
-    pub(super) way: f64,
-    /// Turn, rad.
-    pub(super) turn: f64,
+    /// Distance, m.
+    pub(super) distance: f64,
+    /// Rotation, rad.
+    pub(super) rotation: f64,
 }
 
 impl View {
-    /// Evidence of the next scan, in scans, when there were `news` and the robot has moved since. `slack`: way that it may have gone
-    /// besides, m.
-    pub(super) fn news(&self, news: f64, motion: &Pose2, slack: f64) -> f64 {
-        (news + (motion.distance() + slack) / self.way + motion.theta.abs() / self.turn).min(1.0)
+    /// Evidence of the next scan, as a fraction of an independent scan: the unused `novelty`, and that of the motion since.
+    /// `slack`: distance that the robot may have moved in addition, m.
+    pub(super) fn novelty(&self, novelty: f64, motion: &Pose2, slack: f64) -> f64 {
+        (novelty + (motion.distance() + slack) / self.distance + motion.theta.abs() / self.rotation).min(1.0)
     }
 }

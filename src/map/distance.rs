@@ -1,6 +1,6 @@
-//! The distance from every cell of a grid to the nearest blocked one: exact, in linear time (Felzenszwalb and Huttenlocher, 2012).
+//! Exact Euclidean distance transform of a grid, in linear time (Felzenszwalb and Huttenlocher, 2012).
 
-/// Distances between cell centres, in cells.
+/// Distance from every cell to the nearest blocked cell, between cell centres, in cells.
 #[derive(Clone, Debug)]
 pub struct DistanceField {
     width: usize,
@@ -8,10 +8,10 @@ pub struct DistanceField {
 }
 
 impl DistanceField {
-    /// The field of a grid of `width` columns, row by row. All around the grid is blocked.
+    /// Computes the field of a grid of `width` columns, given row by row. The cells around the grid count as blocked.
     pub fn new(width: usize, blocked: impl IntoIterator<Item = bool>) -> Self {
         let mut squares: Vec<f32> = blocked.into_iter().map(|blocked| if blocked { 0.0 } else { f32::INFINITY }).collect();
-        squares_within_columns(width, &mut squares);
+        squared_distances_within_columns(width, &mut squares);
         let mut envelope = Envelope::default();
         for row in squares.chunks_exact_mut(width.max(1)) {
             envelope.replace_by_minima(row);
@@ -19,7 +19,7 @@ impl DistanceField {
         Self { width, distances: squares.into_iter().map(f32::sqrt).collect() }
     }
 
-    /// The distance of a cell; 0 outside the grid.
+    /// The distance at a cell; 0 outside the grid.
     pub fn at(&self, column: i64, row: i64) -> f64 {
         match (usize::try_from(column), usize::try_from(row)) {
             (Ok(column), Ok(row)) if column < self.width => {
@@ -30,8 +30,8 @@ impl DistanceField {
     }
 }
 
-/// Squared distance to the nearest blocked cell of the same column, by one sweep up and one down.
-fn squares_within_columns(width: usize, squares: &mut [f32]) {
+/// Computes the squared distance to the nearest blocked cell of the same column, with one sweep up and one down.
+fn squared_distances_within_columns(width: usize, squares: &mut [f32]) {
     let height = squares.len().checked_div(width).unwrap_or(0);
     let mut steps = vec![0.0_f32; width];
     for row in 0..height {
@@ -43,7 +43,7 @@ fn squares_within_columns(width: usize, squares: &mut [f32]) {
     }
 }
 
-/// One row of a sweep; `steps` counts the rows since the last blocked cell of each column.
+/// Processes one row of a sweep; `steps` counts the rows since the last blocked cell of each column.
 fn sweep(steps: &mut [f32], row: &mut [f32]) {
     for (steps, square) in steps.iter_mut().zip(row) {
         *steps = if *square == 0.0 { 0.0 } else { *steps + 1.0 };
@@ -54,25 +54,26 @@ fn sweep(steps: &mut [f32], row: &mut [f32]) {
 /// The lower envelope of the parabolas `(x - vertex)^2 + height`, one for every cell of a row.
 #[derive(Default)]
 struct Envelope {
-    /// Vertex and height of the parabolas that make the envelope, and where each begins.
-    parts: Vec<(f64, f64, f64)>,
+    /// Pieces of the envelope: vertex and height of the parabola, and the x at which the piece begins.
+    pieces: Vec<(f64, f64, f64)>,
 }
 
 impl Envelope {
+    /// Replaces each value of a row by the minimum of all parabolas at its cell.
     fn replace_by_minima(&mut self, row: &mut [f32]) {
-        self.parts.clear();
-        self.parts.push((-1.0, 0.0, f64::NEG_INFINITY)); // the blocked cell left of the row
+        self.pieces.clear();
+        self.pieces.push((-1.0, 0.0, f64::NEG_INFINITY)); // the blocked cell left of the row
         for (x, &height) in row.iter().enumerate() {
             self.add(x as f64, f64::from(height));
         }
-        self.add(row.len() as f64, 0.0); // and the one right of it
-        let mut part = 0;
+        self.add(row.len() as f64, 0.0); // the blocked cell right of the row
+        let mut piece = 0;
         for (x, value) in row.iter_mut().enumerate() {
             let x = x as f64;
-            while self.parts.get(part + 1).is_some_and(|next| next.2 <= x) {
-                part += 1;
+            while self.pieces.get(piece + 1).is_some_and(|next| next.2 <= x) {
+                piece += 1;
             }
-            let (vertex, height, _) = self.parts[part];
+            let (vertex, height, _) = self.pieces[piece];
             #[allow(clippy::cast_possible_truncation)] // whole numbers, exact up to 4096 cells and good to 1e-7 beyond
             let minimum = ((x - vertex).powi(2) + height) as f32;
             *value = minimum;
@@ -81,13 +82,13 @@ impl Envelope {
 
     /// Adds the parabola with the right-most vertex so far.
     fn add(&mut self, vertex: f64, height: f64) {
-        while let Some(&(last, last_height, begins)) = self.parts.last() {
+        while let Some(&(last, last_height, begins)) = self.pieces.last() {
             let meets = 0.5 * ((height - last_height) / (vertex - last) + vertex + last);
             if meets > begins {
-                self.parts.push((vertex, height, meets));
+                self.pieces.push((vertex, height, meets));
                 return;
             }
-            self.parts.pop();
+            self.pieces.pop();
         }
     }
 }
@@ -99,7 +100,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_distance_is_that_to_the_nearest_blocked_cell(width in 1_usize..12, bits in prop::collection::vec(prop::bool::weighted(0.1), 1..150)) {
+        fn distances_match_a_brute_force_search(width in 1_usize..12, bits in prop::collection::vec(prop::bool::weighted(0.1), 1..150)) {
             let height = bits.len().div_ceil(width);
             let mut blocked = bits;
             blocked.resize(width * height, false);

@@ -1,24 +1,24 @@
-//! Occupancy grids, and exact ray casting in them.
+//! Occupancy grids with exact ray casting.
 
 use thiserror::Error;
 
 use crate::geometry::{Point, Pose2, RigidTransform};
 
-/// What is known of one cell of a map.
+/// State of a map cell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cell {
-    /// Nothing stands there.
+    /// Free space.
     Free,
-    /// A wall.
+    /// A wall or another obstacle.
     Occupied,
-    /// Nobody has looked: light passes, a car stays out.
+    /// Not observed. Rays pass through, but a vehicle must not enter.
     Unknown,
 }
 
-/// Numbers that make no grid.
+/// Why a grid is invalid.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum GridError {
-    /// The side of a cell is not a positive number.
+    /// The resolution is not a positive number.
     #[error("resolution is {0}: it must be a positive number of metres per cell")]
     Resolution(f64),
     /// The pose of the lower left corner is not finite.
@@ -49,8 +49,8 @@ pub struct OccupancyGrid {
 }
 
 impl OccupancyGrid {
-    /// A grid of `width` columns, its rows from the bottom up. `origin` is the pose of the lower left corner of the first cell;
-    /// `resolution` is the side of a cell, m.
+    /// Creates a grid of `width` columns, with rows from the bottom up. `origin` is the pose of the lower left corner of the first cell
+    /// in the map frame; `resolution` is the side length of a cell, m.
     pub fn new(width: usize, resolution: f64, origin: Pose2, cells: Vec<Cell>) -> Result<Self, GridError> {
         let height = cells.len().checked_div(width).unwrap_or(0);
         if height == 0 || width * height != cells.len() {
@@ -76,23 +76,23 @@ impl OccupancyGrid {
         self.height
     }
 
-    /// Side of a cell, m.
+    /// Side length of a cell, m.
     pub fn resolution(&self) -> f64 {
         self.resolution
     }
 
-    /// Pose of the lower left corner of the first cell.
+    /// Pose of the lower left corner of the first cell in the map frame.
     pub fn origin(&self) -> Pose2 {
         self.origin
     }
 
-    /// The cell in a column and row; `None` outside the map.
+    /// The cell at a column and row; `None` outside the map.
     pub fn cell(&self, column: i64, row: i64) -> Option<Cell> {
         let (column, row) = (usize::try_from(column).ok()?, usize::try_from(row).ok()?);
         (column < self.width && row < self.height).then(|| self.cells[row * self.width + column])
     }
 
-    /// Every cell, row by row from the bottom up.
+    /// All cells, row by row from the bottom up.
     pub fn cells(&self) -> &[Cell] {
         &self.cells
     }
@@ -102,33 +102,33 @@ impl OccupancyGrid {
         self.map_from_grid.apply(Point::new(column as f64 + 0.5, row as f64 + 0.5) * self.resolution)
     }
 
-    /// Column and row of a point of the map frame, with fractions.
+    /// Converts a point from the map frame to fractional column and row.
     pub fn coordinates(&self, point: Point) -> Point {
         self.grid_from_map.apply(point) / self.resolution
     }
 
-    /// A pose of the map frame seen from the grid: column and row with fractions, and the heading from the rows' direction.
+    /// Converts a pose from the map frame to the grid: fractional column and row, and the heading relative to the direction of the rows.
     pub fn pose_in_cells(&self, map_pose: &Pose2) -> Pose2 {
         let cell = self.coordinates(map_pose.translation());
         Pose2::new(cell.x, cell.y, map_pose.theta - self.origin.theta)
     }
 
-    /// The pose of the map frame that [`Self::pose_in_cells`] makes `pose` of.
+    /// Converts a pose from the grid to the map frame: the inverse of [`Self::pose_in_cells`].
     pub fn pose_in_map(&self, pose: &Pose2) -> Pose2 {
         self.origin * Pose2::new(pose.x * self.resolution, pose.y * self.resolution, pose.theta)
     }
 
-    /// Distance from `origin` along the unit vector `direction` to the first occupied cell that the ray enters, m; `None` if there
-    /// is none within `max` and within the map, or if the ray begins outside. Every cell on the way is looked at (Amanatides and
-    /// Woo, 1987).
+    /// Casts a ray from `origin` along the unit vector `direction`: distance to the first occupied cell, m. `None` if there is none
+    /// within `max` and within the map, or if the ray starts outside the map. Every cell along the ray is checked (Amanatides and Woo,
+    /// 1987).
     pub fn range(&self, origin: Point, direction: Point, max: f64) -> Option<f64> {
         let start = self.coordinates(origin);
         let direction = self.grid_from_map.rotate(direction);
-        let mut x = Walk::new(start.x, direction.x);
-        let mut y = Walk::new(start.y, direction.y);
-        let reach = max / self.resolution;
+        let mut x = Traversal::new(start.x, direction.x);
+        let mut y = Traversal::new(start.y, direction.y);
+        let max_length = max / self.resolution;
         let mut travelled = 0.0;
-        while travelled <= reach {
+        while travelled <= max_length {
             if self.cell(x.cell, y.cell)? == Cell::Occupied {
                 return Some(travelled * self.resolution);
             }
@@ -138,17 +138,17 @@ impl OccupancyGrid {
     }
 }
 
-/// The walk of a ray along one axis of the grid; lengths along the ray, in cells.
-struct Walk {
+/// Traversal of the grid along one axis; lengths are along the ray, in cells.
+struct Traversal {
     cell: i64,
     step: i64,
     /// Length at which the ray enters the next cell.
     next: f64,
-    /// Length from one crossing to the following one.
+    /// Length between two boundaries.
     stride: f64,
 }
 
-impl Walk {
+impl Traversal {
     #[allow(clippy::cast_possible_truncation)] // saturates: far outside any map
     fn new(start: f64, direction: f64) -> Self {
         let cell = start.floor();
@@ -158,7 +158,7 @@ impl Walk {
         Self { cell: cell as i64, step: if forward { 1 } else { -1 }, next, stride: direction.abs().recip() }
     }
 
-    /// Enters the next cell; returns the length at which that happens.
+    /// Enters the next cell; returns the length at its boundary.
     fn advance(&mut self) -> f64 {
         let entered = self.next;
         self.cell = self.cell.saturating_add(self.step);

@@ -1,4 +1,4 @@
-//! Maps: what stands where, and how far from everything that is.
+//! Occupancy grids, distance fields, and indoor areas.
 
 pub mod distance;
 pub mod grid;

@@ -1,7 +1,8 @@
 //! Matches of pairs of keyframes as edges of the graph.
 //!
-//! One keyframe against one other, without a prior: then the edges of a graph are independent, and their covariances honest. A match to several
-//! keyframes at once would be more precise, but those err alike, and their own errors are not in its covariance.
+//! Each match compares one keyframe with one other, without a prior. The edges of the graph are then independent, and their covariances
+//! honest. A match against several keyframes at once would be more precise, but the errors of those keyframes are correlated and
+//! missing from its covariance.
 
 use std::sync::Arc;
 
@@ -13,49 +14,50 @@ use crate::matching::{FirstGuess, Matcher, MatchingKnobs, PlacedView, View};
 use crate::odometry::uncertainty;
 use crate::scan::Scan;
 
-/// What no match is better than, whatever its pairs know: walls are uneven and beams wide, and what neighbouring rays err in common stays. m ...
-const LEAST_ERROR: f64 = 0.005;
-/// ... and rad.
-const LEAST_TURN_ERROR: f64 = 0.001;
-/// Of two keyframes that are nearer to one another, m, both see the same only where both look in the same direction.
-const NEAR: f64 = 2.0;
-/// Along a direction that pairs leave open so much is unknown, m (and rad): more than anything that is known.
-const OPEN: f64 = 100.0;
+/// Minimum position error of a match, m, however many pairs it has: walls are uneven, beams are wide, and errors that neighbouring rays
+/// share do not average out.
+const MIN_ERROR: f64 = 0.005;
+/// Minimum rotation error of a match, rad.
+const MIN_ROTATION_ERROR: f64 = 0.001;
+/// Two keyframes nearer to each other than this, m, overlap only if both lasers face the same direction.
+const VIEW_CHECK_DISTANCE: f64 = 2.0;
+/// Error assumed along a direction that the pairs leave unconstrained, m (and rad): much larger than any real one.
+const UNCONSTRAINED_ERROR: f64 = 100.0;
 
-/// What a match of two keyframes says.
+/// Result of matching two keyframes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Match {
-    /// Pose of the later laser seen from the earlier one.
+    /// Pose of the later laser in the frame of the earlier one.
     pub(super) motion: Pose2,
-    /// Along the axes of the earlier one; wide along what the pairs leave open.
+    /// Covariance of the motion along the axes of the earlier laser; large along unconstrained directions.
     pub(super) covariance: PoseCovariance,
-    /// Part of the rays that end where the other keyframe sees, that end where it has a surface.
+    /// Of the rays that end within the other keyframe's view, the fraction that end on one of its surfaces.
     pub(super) agreement: f64,
-    /// Part of the rays that end where the other one sees.
+    /// Fraction of the rays that end within the other keyframe's view.
     pub(super) overlap: f64,
-    /// Of the pairs' information.
+    /// Condition number of the pairs' information matrix.
     pub(super) condition_number: f64,
 }
 
-/// Matches keyframes.
+/// Matches pairs of keyframes.
 pub(super) struct EdgeMatcher {
     matcher: Matcher,
 }
 
 impl EdgeMatcher {
     pub(super) fn new(matching: &MatchingKnobs, rejection: &RejectionKnobs) -> Self {
-        Self { matcher: Matcher::new(matching, rejection).learning_noise() }
+        Self { matcher: Matcher::new(matching, rejection).with_noise_estimation() }
     }
 
-    /// Prepares a scan; its noise is learned from.
+    /// Prepares a scan for matching, and learns the range noise from it.
     pub(super) fn view(&mut self, scan: Scan) -> Arc<View> {
         self.matcher.view(scan)
     }
 
-    /// Where `later` was seen from `earlier`; `None` where nothing fits.
+    /// Pose of `later` in the frame of `earlier`; `None` if the match fails.
     pub(super) fn compare(&mut self, earlier: &Arc<View>, later: &View, guess: impl Into<FirstGuess>) -> Option<Match> {
         let guess = guess.into();
-        if guess.pose.distance() < NEAR && !earlier.scan().shares_view_with(later.scan(), guess.pose.theta) {
+        if guess.pose.distance() < VIEW_CHECK_DISTANCE && !earlier.scan().shares_view_with(later.scan(), guess.pose.theta) {
             return None;
         }
         self.matcher.set_views(&[PlacedView::at_origin(Arc::clone(earlier))]);
@@ -68,28 +70,28 @@ impl EdgeMatcher {
         if stop_reason.is_failure() {
             return None;
         }
-        let known = refinement.uncertainty()?;
+        let uncertainty = refinement.uncertainty()?;
         let last = refinement.trace().last()?;
         Some(Match {
             motion: refinement.pose(),
-            covariance: covariance(known.information?)?,
+            covariance: covariance(uncertainty.information?)?,
             agreement: refinement.agreement().unwrap_or(1.0),
             overlap: f64::from(last.correspondences) / f64::from(last.rays.max(1)),
-            condition_number: known.condition_number,
+            condition_number: uncertainty.condition_number,
         })
     }
 }
 
-/// The covariance that an edge has by what the pairs know; along a direction that they leave open that is nothing.
+/// Covariance of an edge from the information matrix of its pairs. Unconstrained directions get [`UNCONSTRAINED_ERROR`].
 fn covariance(mut information: Matrix3<f64>) -> Option<PoseCovariance> {
-    information += Matrix3::identity() / (OPEN * OPEN);
-    let covariance = information.try_inverse()? + least();
+    information += Matrix3::identity() / (UNCONSTRAINED_ERROR * UNCONSTRAINED_ERROR);
+    let covariance = information.try_inverse()? + min_covariance();
     covariance.iter().all(|value| value.is_finite()).then_some(covariance)
 }
 
-/// Covariance that no motion between keyframes is known better than.
-pub(super) fn least() -> PoseCovariance {
-    uncertainty::diagonal(LEAST_ERROR, LEAST_TURN_ERROR)
+/// Minimum covariance of a motion between keyframes.
+pub(super) fn min_covariance() -> PoseCovariance {
+    uncertainty::diagonal(MIN_ERROR, MIN_ROTATION_ERROR)
 }
 
 #[cfg(test)]
@@ -98,7 +100,7 @@ mod tests {
     use crate::scan::BeamGeometry;
     use crate::time::Stamp;
 
-    /// Two walls, 2 m to either side; with one across at `end` where there is any.
+    /// A corridor with walls 2 m to either side, closed by a wall at `end` if given.
     fn corridor(end: Option<f64>, from: &Pose2) -> Scan {
         let beams = BeamGeometry::new(-3.1, 0.0174, 356);
         let range = |i: usize| {
@@ -111,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn along_a_corridor_nothing_is_known_and_across_it_all() {
+    fn a_corridor_is_unconstrained_along_its_axis_only() {
         let mut matcher = EdgeMatcher::new(&MatchingKnobs::default(), &RejectionKnobs::default());
         let later = Pose2::new(0.3, 0.1, 0.05);
         let mut compare = |end: Option<f64>| {
@@ -122,7 +124,7 @@ mod tests {
         assert!(open.covariance.m11 > 100.0 && open.covariance.m22 < 0.01_f64.powi(2) && open.covariance.m33 < 0.01_f64.powi(2));
         assert!((open.motion.y - 0.1).abs() < 0.005 && (open.motion.theta - 0.05).abs() < 0.005);
         let closed = compare(Some(6.0));
-        assert!(closed.covariance.m11 < 0.01_f64.powi(2) && closed.covariance.m11 >= LEAST_ERROR.powi(2));
+        assert!(closed.covariance.m11 < 0.01_f64.powi(2) && closed.covariance.m11 >= MIN_ERROR.powi(2));
         assert!(closed.motion.between(&later).distance() < 0.005 && closed.agreement > 0.9 && closed.overlap > 0.8);
     }
 }

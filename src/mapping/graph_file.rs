@@ -1,15 +1,15 @@
-//! A map's graph as a file, to go on with: more bags, another day.
+//! Saves and loads the pose graph of a map, to extend the map with more bags later.
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 8 | `ATSMGRAF` |
-//! | 4 | version of what follows |
-//! | 8 | length of the sections |
-//! | 4 | their CRC-32 |
-//! | | sections: 4 letters, 8 bytes of length, content |
+//! | 4 | format version |
+//! | 8 | total length of the sections |
+//! | 4 | CRC-32 of the sections |
+//! | | sections: name (4 letters), length (8 bytes), content |
 //!
-//! All numbers are little-endian. A section of an unknown name is passed over, so that later versions may add some; the version grows only when
-//! older programs would misread what they know.
+//! All numbers are little-endian. Sections with unknown names are skipped, so later programs may add some. The version is incremented
+//! only if older programs would misread the sections they know.
 
 use std::sync::Arc;
 
@@ -17,8 +17,8 @@ use flate2::Crc;
 use nalgebra::Matrix3;
 use thiserror::Error;
 
-use super::trajectory::Step;
-use super::{Drawn, Edge, EdgeKind, Keyframe, Mapper};
+use super::trajectory::TrajectoryNode;
+use super::{Edge, EdgeKind, GridScan, Keyframe, Mapper};
 use crate::geometry::Pose2;
 use crate::matching::MatchingKnobs;
 use crate::matching::classic::rejection::RejectionKnobs;
@@ -27,35 +27,35 @@ use crate::time::Stamp;
 
 const MAGIC: &[u8; 8] = b"ATSMGRAF";
 const VERSION: u32 = 1;
-/// Bytes before the sections.
-const HEADER: usize = 24;
+/// Size of the header before the sections, bytes.
+const HEADER_SIZE: usize = 24;
 
-/// Why bytes are no graph.
+/// Why a graph file cannot be loaded.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum GraphFileError {
-    /// They are something else.
-    #[error("this is no graph file: give the PREFIX.graph that `anytime map` has written")]
+    /// The file does not start with the magic number of graph files.
+    #[error("not a graph file: give the PREFIX.graph written by `anytime map`")]
     NotAGraph,
-    /// A later program has written them.
+    /// A newer program has written the file.
     #[error(
-        "it is of version {found}, and this program reads up to {VERSION}: use the program that has written it, or a newer one"
+        "the file has version {found}, but this program reads up to version {VERSION}: use the program that wrote it, or a newer one"
     )]
     Version {
-        /// Its version.
+        /// Version of the file.
         found: u32,
     },
-    /// The end is missing.
-    #[error("it is cut off: {found} of {expected} bytes are there; make the map anew from the bags, or take a whole copy")]
+    /// The end of the file is missing.
+    #[error("the file is cut off: it has {found} of {expected} bytes; build the map again from the bags, or use a complete copy")]
     CutOff {
-        /// Bytes there are.
+        /// Size of the file, bytes.
         found: usize,
-        /// Bytes there should be.
+        /// Size according to the header, bytes.
         expected: u64,
     },
-    /// The checksum does not fit, or a number is out of its range.
-    #[error("it is damaged ({problem}): make the map anew from the bags, or take a whole copy")]
+    /// The checksum is wrong, or a value is invalid.
+    #[error("the file is damaged ({problem}): build the map again from the bags, or use a complete copy")]
     Damaged {
-        /// What does not fit.
+        /// What is wrong.
         problem: &'static str,
     },
 }
@@ -65,7 +65,7 @@ const fn damaged(problem: &'static str) -> GraphFileError {
 }
 
 impl Mapper {
-    /// The graph as the bytes of a file.
+    /// Serializes the graph.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut sections = Vec::new();
         let mut section = |name: &[u8; 4], content: Writer| {
@@ -75,7 +75,7 @@ impl Mapper {
         };
         section(b"KEYF", self.keyframe_section());
         section(b"EDGE", self.edge_section());
-        section(b"DRAW", self.drawn_section());
+        section(b"DRAW", self.grid_scan_section());
         let mut crc = Crc::new();
         crc.update(&sections);
         let mut file = MAGIC.to_vec();
@@ -92,9 +92,9 @@ impl Mapper {
         for (i, keyframe) in self.keyframes.iter().enumerate() {
             out.stamp(keyframe.stamp);
             out.count(keyframe.run);
-            out.number(keyframe.way);
-            out.number(self.ways[i]);
-            for pose in [keyframe.odom_from_laser, self.by_odometry[i], self.graph.poses()[i]] {
+            out.number(keyframe.path_length);
+            out.number(self.distances_to_next[i]);
+            for pose in [keyframe.odom_from_laser, self.dead_reckoned[i], self.graph.poses()[i]] {
                 out.pose(&pose);
             }
             match &keyframe.view {
@@ -122,34 +122,34 @@ impl Mapper {
         out
     }
 
-    fn drawn_section(&self) -> Writer {
+    fn grid_scan_section(&self) -> Writer {
         let mut out = Writer::default();
-        out.count(self.drawn.iter().filter(|drawn| !drawn.points.is_empty()).count());
-        for Drawn { step, points, .. } in self.drawn.iter().filter(|drawn| !drawn.points.is_empty()) {
-            out.stamp(step.stamp);
-            out.count(step.keyframe);
-            out.number(step.way);
-            out.pose(&step.odom_from_base);
-            out.pose(&step.odom_from_laser);
+        out.count(self.grid_scans.iter().filter(|scan| !scan.points.is_empty()).count());
+        for GridScan { node, points, .. } in self.grid_scans.iter().filter(|scan| !scan.points.is_empty()) {
+            out.stamp(node.stamp);
+            out.count(node.keyframe);
+            out.number(node.distance);
+            out.pose(&node.odom_from_base);
+            out.pose(&node.odom_from_laser);
             out.count(points.len());
             points.as_flattened().iter().for_each(|&coordinate| out.short(coordinate));
         }
         out
     }
 
-    /// The graph that a file holds. What follows is another run.
+    /// Loads a graph. Scans added afterwards belong to a new run.
     pub fn from_bytes(bytes: &[u8], matching: &MatchingKnobs, rejection: &RejectionKnobs) -> Result<Self, GraphFileError> {
         let sections = checked_sections(bytes)?;
         let mut mapper = Self::new(matching, rejection);
         let mut reader = Reader { bytes: sections };
         while !reader.bytes.is_empty() {
             let (name, length) = (reader.take(4)?, reader.long()?);
-            let content = reader.take(usize::try_from(length).map_err(|_| damaged("a length"))?)?;
+            let content = reader.take(usize::try_from(length).map_err(|_| damaged("invalid length"))?)?;
             let mut content = Reader { bytes: content };
             match name {
                 b"KEYF" => mapper.read_keyframes(&mut content)?,
                 b"EDGE" => mapper.read_edges(&mut content)?,
-                b"DRAW" => mapper.read_drawn(&mut content)?,
+                b"DRAW" => mapper.read_grid_scans(&mut content)?,
                 _ => {}
             }
         }
@@ -160,12 +160,12 @@ impl Mapper {
         let mut geometries = Vec::new();
         for _ in 0..content.count()? {
             let (stamp, run) = (content.stamp()?, content.count()?);
-            let (way, way_to_next) = (content.number()?, content.number()?);
-            let [odom_from_laser, by_odometry, pose] = [content.pose()?, content.pose()?, content.pose()?];
+            let (path_length, distance_to_next) = (content.number()?, content.number()?);
+            let [odom_from_laser, dead_reckoned, pose] = [content.pose()?, content.pose()?, content.pose()?];
             let view = content.scan(stamp, &mut geometries)?.map(|scan| self.matcher.view(scan));
-            self.keyframes.push(Keyframe { stamp, odom_from_laser, view, run, way });
-            self.by_odometry.push(by_odometry);
-            self.ways.push(way_to_next);
+            self.keyframes.push(Keyframe { stamp, odom_from_laser, view, run, path_length });
+            self.dead_reckoned.push(dead_reckoned);
+            self.distances_to_next.push(distance_to_next);
             self.graph.add_pose(pose);
         }
         Ok(())
@@ -178,7 +178,7 @@ impl Mapper {
                 [0] => EdgeKind::Odometry,
                 [1] => EdgeKind::Sequence,
                 [2] => EdgeKind::Loop,
-                _ => return Err(damaged("the kind of an edge")),
+                _ => return Err(damaged("unknown kind of edge")),
             };
             let motion = content.pose()?;
             let mut covariance = Matrix3::zeros();
@@ -186,43 +186,43 @@ impl Mapper {
                 *value = content.number()?;
             }
             if from.max(to) >= self.keyframes.len() {
-                return Err(damaged("an edge leads to no keyframe"));
+                return Err(damaged("an edge refers to a missing keyframe"));
             }
             self.graph.add_edge(Edge { from, to, motion, covariance, kind });
         }
         Ok(())
     }
 
-    fn read_drawn(&mut self, content: &mut Reader) -> Result<(), GraphFileError> {
+    fn read_grid_scans(&mut self, content: &mut Reader) -> Result<(), GraphFileError> {
         for _ in 0..content.count()? {
-            let (stamp, keyframe, way) = (content.stamp()?, content.count()?, content.number()?);
+            let (stamp, keyframe, distance) = (content.stamp()?, content.count()?, content.number()?);
             let (odom_from_base, odom_from_laser) = (content.pose()?, content.pose()?);
             if keyframe >= self.keyframes.len() {
-                return Err(damaged("a scan is of no keyframe"));
+                return Err(damaged("a scan refers to a missing keyframe"));
             }
             let count = content.count()?;
-            let coordinates = content.take(count.checked_mul(8).ok_or(damaged("a length"))?)?;
+            let coordinates = content.take(count.checked_mul(8).ok_or(damaged("invalid length"))?)?;
             let (pairs, _) = coordinates.as_chunks::<8>();
             let points = pairs
                 .iter()
                 .map(|&[a, b, c, d, e, f, g, h]| [f32::from_le_bytes([a, b, c, d]), f32::from_le_bytes([e, f, g, h])])
                 .collect();
-            let step = Step { stamp, keyframe, odom_from_base, odom_from_laser, way };
-            self.drawn.push(Drawn { step, points, at: None });
+            let node = TrajectoryNode { stamp, keyframe, odom_from_base, odom_from_laser, distance };
+            self.grid_scans.push(GridScan { node, points, inserted_at: None });
         }
         Ok(())
     }
 }
 
-/// The sections of a file that is whole and of a version that can be read.
+/// Checks header, length and checksum; returns the sections.
 fn checked_sections(bytes: &[u8]) -> Result<&[u8], GraphFileError> {
     if !bytes.starts_with(MAGIC) {
         return Err(GraphFileError::NotAGraph);
     }
     let mut header = Reader { bytes: &bytes[MAGIC.len()..] };
     let cut_off = |expected: u64| GraphFileError::CutOff { found: bytes.len(), expected };
-    if bytes.len() < HEADER {
-        return Err(cut_off(HEADER as u64));
+    if bytes.len() < HEADER_SIZE {
+        return Err(cut_off(HEADER_SIZE as u64));
     }
     let found = u32::from_le_bytes(header.array()?);
     if found > VERSION {
@@ -230,10 +230,10 @@ fn checked_sections(bytes: &[u8]) -> Result<&[u8], GraphFileError> {
     }
     let (length, sum) = (header.long()?, u32::from_le_bytes(header.array()?));
     let sections = usize::try_from(length).ok().and_then(|length| header.bytes.get(..length));
-    let sections = sections.ok_or_else(|| cut_off(length.saturating_add(HEADER as u64)))?;
+    let sections = sections.ok_or_else(|| cut_off(length.saturating_add(HEADER_SIZE as u64)))?;
     let mut crc = Crc::new();
     crc.update(sections);
-    if crc.sum() == sum { Ok(sections) } else { Err(damaged("its checksum is another one")) }
+    if crc.sum() == sum { Ok(sections) } else { Err(damaged("wrong checksum")) }
 }
 
 #[derive(Default)]
@@ -264,7 +264,7 @@ impl Writer {
         }
     }
 
-    /// A scan that is not kept: one without beams.
+    /// A scan that was dropped is saved as one without beams.
     fn no_scan(&mut self) {
         self.number(0.0);
         self.number(0.0);
@@ -272,19 +272,19 @@ impl Writer {
         self.bytes.push(1);
     }
 
-    /// Beams by their angles where they are even, else one by one; ranges with `inf` where nothing was seen.
+    /// Beams as start and increment if evenly spaced, else one by one; ranges with `inf` for rays without a return.
     #[allow(clippy::cast_possible_truncation)] // to single precision: micrometres
     fn scan(&mut self, scan: &Scan) {
         let beams = scan.beams();
         self.number(beams.angle(0));
         self.number(beams.angle_increment());
         self.count(scan.len());
-        self.bytes.push(u8::from(beams.is_even()));
-        if !beams.is_even() {
+        self.bytes.push(u8::from(beams.is_uniform()));
+        if !beams.is_uniform() {
             beams.directions().iter().for_each(|direction| self.number(direction.y.atan2(direction.x)));
         }
         for (i, &range) in scan.ranges().iter().enumerate() {
-            self.short(if scan.saw_nothing(i) { f32::INFINITY } else { range as f32 });
+            self.short(if scan.is_out_of_range(i) { f32::INFINITY } else { range as f32 });
         }
     }
 }
@@ -295,23 +295,23 @@ struct Reader<'a> {
 
 impl<'a> Reader<'a> {
     fn take(&mut self, count: usize) -> Result<&'a [u8], GraphFileError> {
-        let (taken, rest) = self.bytes.split_at_checked(count).ok_or(damaged("a section ends too early"))?;
+        let (taken, rest) = self.bytes.split_at_checked(count).ok_or(damaged("truncated section"))?;
         self.bytes = rest;
         Ok(taken)
     }
 
     fn array<const N: usize>(&mut self) -> Result<[u8; N], GraphFileError> {
         let taken = self.take(N)?;
-        taken.try_into().map_err(|_| damaged("a section ends too early"))
+        taken.try_into().map_err(|_| damaged("truncated section"))
     }
 
     fn long(&mut self) -> Result<u64, GraphFileError> {
         Ok(u64::from_le_bytes(self.array()?))
     }
 
-    /// A number of things, of which each takes a byte at least: no more than there are bytes, or an index.
+    /// A count or an index.
     fn count(&mut self) -> Result<usize, GraphFileError> {
-        usize::try_from(self.long()?).map_err(|_| damaged("a count"))
+        usize::try_from(self.long()?).map_err(|_| damaged("invalid count"))
     }
 
     fn stamp(&mut self) -> Result<Stamp, GraphFileError> {
@@ -320,48 +320,48 @@ impl<'a> Reader<'a> {
 
     fn number(&mut self) -> Result<f64, GraphFileError> {
         let number = f64::from_le_bytes(self.array()?);
-        if number.is_finite() { Ok(number) } else { Err(damaged("a number is not finite")) }
+        if number.is_finite() { Ok(number) } else { Err(damaged("number not finite")) }
     }
 
     fn pose(&mut self) -> Result<Pose2, GraphFileError> {
         Ok(Pose2::new(self.number()?, self.number()?, self.number()?))
     }
 
-    /// The scan of a keyframe; `None` where it was not kept.
+    /// The scan of a keyframe; `None` if it was dropped.
     fn scan(&mut self, stamp: Stamp, geometries: &mut Vec<Arc<BeamGeometry>>) -> Result<Option<Scan>, GraphFileError> {
         let (angle, increment, count) = (self.number()?, self.number()?, self.count()?);
         if count == 0 {
             return self.take(1).map(|_| None);
         }
         if count > crate::scan::MAX_BEAMS || increment == 0.0 {
-            return Err(damaged("the beams of a scan"));
+            return Err(damaged("invalid beams of a scan"));
         }
         let is_even = self.take(1)? == [1];
         let beams = if is_even {
-            shared(geometries, angle, increment, count)
+            shared_geometry(geometries, angle, increment, count)
         } else {
             let mut directions = Vec::with_capacity(count);
             for _ in 0..count {
                 let (sin, cos) = self.number()?.sin_cos();
                 directions.push([cos, sin].into());
             }
-            Arc::new(BeamGeometry::about(angle, increment, directions))
+            Arc::new(BeamGeometry::with_directions(angle, increment, directions))
         };
         let mut ranges = Vec::with_capacity(count);
         for _ in 0..count {
             ranges.push(f64::from(f32::from_le_bytes(self.array()?)));
         }
-        Scan::new(stamp, beams, (0.0, f64::MAX), ranges).map(Some).map_err(|_| damaged("the ranges of a scan"))
+        Scan::new(stamp, beams, (0.0, f64::MAX), ranges).map(Some).map_err(|_| damaged("invalid ranges of a scan"))
     }
 }
 
-/// Even beams, the same for all scans that have them.
-fn shared(geometries: &mut Vec<Arc<BeamGeometry>>, angle: f64, increment: f64, count: usize) -> Arc<BeamGeometry> {
-    let is_it = |beams: &&Arc<BeamGeometry>| {
+/// Evenly spaced beams, shared by all scans with the same geometry.
+fn shared_geometry(geometries: &mut Vec<Arc<BeamGeometry>>, angle: f64, increment: f64, count: usize) -> Arc<BeamGeometry> {
+    let is_same = |beams: &&Arc<BeamGeometry>| {
         let numbers = [beams.angle(0), beams.angle_increment()];
         beams.len() == count && numbers.map(f64::to_bits) == [angle, increment].map(f64::to_bits)
     };
-    if let Some(beams) = geometries.iter().rev().find(is_it) {
+    if let Some(beams) = geometries.iter().rev().find(is_same) {
         return Arc::clone(beams);
     }
     geometries.push(Arc::new(BeamGeometry::new(angle, increment, count)));

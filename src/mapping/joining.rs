@@ -1,7 +1,7 @@
-//! Where on the map a run has begun of which nobody knows: a bag of another day, a robot that was carried off.
+//! Localizes a run with an unknown start on the map: a bag of another day, or a kidnapped robot.
 //!
-//! A keyframe of the run is matched to keyframes all over the map, whichever way it may look. Where one fits, those that follow it on the
-//! run must fit, too, each where odometry leads from there: over several metres, and nowhere else as well.
+//! A keyframe of the run is matched against keyframes all over the map, in all headings. If one fits, the following keyframes of the
+//! run must fit, too, each at the pose that odometry predicts from there, over several metres; and no other place may fit as well.
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -12,76 +12,76 @@ use super::pose_graph::{Edge, EdgeKind};
 use crate::geometry::Pose2;
 use crate::matching::{FirstGuess, SearchWindow};
 
-/// Keyframes to compare with are thinned out to one in so many metres, and radians.
-const THINNED: f64 = 1.0;
-/// Starts along the run are so far apart, m.
-const STARTS: f64 = 2.0;
-/// So many are tried.
-const MOST_STARTS: usize = 12;
-/// Places that are followed from each.
-const FOLLOWED: usize = 5;
-/// Least part of the rays that must agree at the start ...
-const SURE: f64 = 0.75;
-/// ... and on the way.
-const AGREEING: f64 = 0.65;
-/// Least part of the rays that must see what the other keyframe has seen.
-const OVERLAP: f64 = 0.4;
-/// Way along which keyframes must fit, m ...
-const FOLLOW: f64 = 5.0;
-/// ... and how many of them.
-pub(super) const FEWEST: usize = 6;
-/// How far odometry may lead astray on that way, m ...
-const ASTRAY: f64 = 0.4;
-/// ... and rad.
-const ASTRAY_TURN: f64 = 0.1;
-/// Two places nearer than this are one, m.
-const SAME: f64 = 1.0;
-/// Another place whose part of agreeing rays is within this is a rival.
-const RIVAL: f64 = 0.08;
+/// Spacing to which the map's keyframes are thinned out for the global search, m and rad.
+const THINNED_SPACING: f64 = 1.0;
+/// Path length between the keyframes of the run that are searched for, m.
+const START_SPACING: f64 = 2.0;
+/// Maximum number of keyframes of the run that are searched for.
+const MAX_STARTS: usize = 12;
+/// Maximum number of hypotheses per keyframe that are verified.
+const MAX_HYPOTHESES: usize = 5;
+/// Minimum fraction of rays that must agree in the global search.
+const MIN_GLOBAL_AGREEMENT: f64 = 0.75;
+/// Minimum fraction of rays that must agree in each verification match.
+const MIN_AGREEMENT: f64 = 0.65;
+/// Minimum fraction of rays that must end within the other keyframe's view.
+const MIN_OVERLAP: f64 = 0.4;
+/// Path length over which a hypothesis is verified, m.
+const VERIFIED_LENGTH: f64 = 5.0;
+/// Minimum number of keyframes that must verify a hypothesis.
+pub(super) const MIN_KEYFRAMES: usize = 6;
+/// Maximum distance of a match from the pose predicted by odometry, m.
+const MAX_DEVIATION: f64 = 0.4;
+/// Maximum rotation of a match from the pose predicted by odometry, rad.
+const MAX_ROTATION_DEVIATION: f64 = 0.1;
+/// Hypotheses nearer to each other than this count as one, m.
+const DUPLICATE_DISTANCE: f64 = 1.0;
+/// A competing hypothesis whose fraction of agreeing rays is within this margin of the best one's makes the result ambiguous.
+const AMBIGUITY_MARGIN: f64 = 0.08;
 
-/// Where a run belongs.
-pub(super) struct Junction {
-    /// Takes its poses to the map.
+/// Alignment of a run with the map.
+pub(super) struct RunAlignment {
+    /// Transforms the run's current poses to the map.
     pub(super) correction: Pose2,
-    /// What holds it there.
+    /// Loop edges that connect the run to the map.
     pub(super) edges: Vec<Edge>,
     agreement: f64,
 }
 
-/// Finds where on a map a run belongs, by the keyframes of the map that are `known` and still have their views; `None` where it fits nowhere,
-/// or in several places.
+/// Aligns a run with the map by matching it against the keyframes in `known`, which are on the map and still have their scans. `None`
+/// if the run fits nowhere, or in several places.
 pub(super) fn find(
     keyframes: &[Keyframe],
     poses: &[Pose2],
     known: &[usize],
     run: Range<usize>,
     matcher: &mut EdgeMatcher,
-) -> Option<Junction> {
-    let mut search = JunctionSearch { keyframes, poses, known, thinned: thinned(poses, known), run: run.clone(), matcher };
+) -> Option<RunAlignment> {
+    let mut search = AlignmentSearch { keyframes, poses, known, thinned: thinned(poses, known), run: run.clone(), matcher };
     let (mut tried, mut next) = (0, f64::NEG_INFINITY);
     for start in run {
-        if keyframes[start].way < next {
+        if keyframes[start].path_length < next {
             continue;
         }
-        next = keyframes[start].way + STARTS;
-        if let Some(junction) = search.from(start) {
-            return Some(junction);
+        next = keyframes[start].path_length + START_SPACING;
+        if let Some(alignment) = search.from(start) {
+            return Some(alignment);
         }
         tried += 1;
-        if tried >= MOST_STARTS {
+        if tried >= MAX_STARTS {
             break;
         }
     }
     None
 }
 
-/// Keyframes that see something else than those before.
+/// Thins out keyframes to those that differ by [`THINNED_SPACING`] from all kept before.
 fn thinned(poses: &[Pose2], known: &[usize]) -> Vec<usize> {
     let mut kept: Vec<usize> = Vec::new();
     for &k in known {
         let is_new = |other: &usize| {
             let motion = poses[*other].between(&poses[k]);
-            motion.distance() > THINNED || motion.theta.abs() > THINNED
+            motion.distance() > THINNED_SPACING || motion.theta.abs() > THINNED_SPACING
         };
         if kept.iter().all(is_new) {
             kept.push(k);
@@ -90,7 +90,7 @@ fn thinned(poses: &[Pose2], known: &[usize]) -> Vec<usize> {
     kept
 }
 
-struct JunctionSearch<'a> {
+struct AlignmentSearch<'a> {
     keyframes: &'a [Keyframe],
     poses: &'a [Pose2],
     known: &'a [usize],
@@ -99,59 +99,68 @@ struct JunctionSearch<'a> {
     matcher: &'a mut EdgeMatcher,
 }
 
-impl JunctionSearch<'_> {
-    /// Where the run belongs by the keyframes from `start` on.
-    fn from(&mut self, start: usize) -> Option<Junction> {
-        let window = SearchWindow { distance: THINNED, angle: PI, doubtful_agreement: f64::INFINITY };
-        let mut places: Vec<(f64, Pose2)> = Vec::new();
+impl AlignmentSearch<'_> {
+    /// Aligns the run, starting from keyframe `start`.
+    fn from(&mut self, start: usize) -> Option<RunAlignment> {
+        let window = SearchWindow { distance: THINNED_SPACING, angle: PI, min_agreement: f64::INFINITY };
+        let mut hypotheses: Vec<(f64, Pose2)> = Vec::new();
         for i in 0..self.thinned.len() {
             let earlier = self.thinned[i];
-            if let Some(made) = self.compare(earlier, start, Pose2::IDENTITY, window).filter(|made| made.agreement >= SURE) {
-                places.push((made.agreement, self.poses[earlier] * made.motion));
+            if let Some(matched) =
+                self.compare(earlier, start, Pose2::IDENTITY, window).filter(|matched| matched.agreement >= MIN_GLOBAL_AGREEMENT)
+            {
+                hypotheses.push((matched.agreement, self.poses[earlier] * matched.motion));
             }
         }
-        places.sort_by(|a, b| b.0.total_cmp(&a.0));
+        hypotheses.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut distinct: Vec<Pose2> = Vec::new();
-        for (_, place) in places {
-            if distinct.len() < FOLLOWED && distinct.iter().all(|other| other.between(&place).distance() > SAME) {
-                distinct.push(place);
+        for (_, pose) in hypotheses {
+            if distinct.len() < MAX_HYPOTHESES
+                && distinct.iter().all(|other| other.between(&pose).distance() > DUPLICATE_DISTANCE)
+            {
+                distinct.push(pose);
             }
         }
-        let mut junctions: Vec<Junction> = distinct.iter().filter_map(|place| self.follow(start, place)).collect();
-        junctions.sort_by(|a, b| b.agreement.total_cmp(&a.agreement));
-        let rival = junctions.get(1).is_some_and(|other| other.agreement > junctions[0].agreement - RIVAL);
-        junctions.into_iter().next().filter(|_| !rival)
+        let mut alignments: Vec<RunAlignment> = distinct.iter().filter_map(|pose| self.verify(start, pose)).collect();
+        alignments.sort_by(|a, b| b.agreement.total_cmp(&a.agreement));
+        let is_ambiguous = alignments.get(1).is_some_and(|other| other.agreement > alignments[0].agreement - AMBIGUITY_MARGIN);
+        alignments.into_iter().next().filter(|_| !is_ambiguous)
     }
 
-    /// Whether the keyframes that follow fit, too, where odometry leads from a place of the first one.
-    fn follow(&mut self, start: usize, place: &Pose2) -> Option<Junction> {
-        let mut correction = *place * self.poses[start].inverse();
-        let end = self.keyframes[start].way + FOLLOW;
-        let mut junction = Junction { correction, edges: Vec::new(), agreement: 0.0 };
-        for later in (start..self.run.end).take_while(|&k| self.keyframes[k].way <= end) {
-            let place = correction * self.poses[later];
+    /// Verifies a hypothesis for the pose of keyframe `start`: the following keyframes must match where odometry predicts them.
+    fn verify(&mut self, start: usize, hypothesis: &Pose2) -> Option<RunAlignment> {
+        let mut correction = *hypothesis * self.poses[start].inverse();
+        let end = self.keyframes[start].path_length + VERIFIED_LENGTH;
+        let mut alignment = RunAlignment { correction, edges: Vec::new(), agreement: 0.0 };
+        for later in (start..self.run.end).take_while(|&k| self.keyframes[k].path_length <= end) {
+            let predicted = correction * self.poses[later];
             let difference = |k: &usize| {
-                let motion = self.poses[*k].between(&place);
+                let motion = self.poses[*k].between(&predicted);
                 motion.distance() + motion.theta.abs()
             };
             let earlier = *self.known.iter().min_by(|a, b| difference(a).total_cmp(&difference(b)))?;
-            let guess = self.poses[earlier].between(&place);
-            let made = self.compare(earlier, later, guess, SearchWindow::default())?;
-            let astray = guess.between(&made.motion);
-            if made.agreement < AGREEING || astray.distance() > ASTRAY || astray.theta.abs() > ASTRAY_TURN {
+            let guess = self.poses[earlier].between(&predicted);
+            let matched = self.compare(earlier, later, guess, SearchWindow::default())?;
+            let deviation = guess.between(&matched.motion);
+            if matched.agreement < MIN_AGREEMENT
+                || deviation.distance() > MAX_DEVIATION
+                || deviation.theta.abs() > MAX_ROTATION_DEVIATION
+            {
                 return None;
             }
-            correction = self.poses[earlier] * made.motion * self.poses[later].inverse();
-            junction.agreement += made.agreement;
-            let (motion, covariance) = (made.motion, made.covariance);
-            junction.edges.push(Edge { from: earlier, to: later, motion, covariance, kind: EdgeKind::Loop });
+            correction = self.poses[earlier] * matched.motion * self.poses[later].inverse();
+            alignment.agreement += matched.agreement;
+            let (motion, covariance) = (matched.motion, matched.covariance);
+            alignment.edges.push(Edge { from: earlier, to: later, motion, covariance, kind: EdgeKind::Loop });
         }
-        junction.agreement /= junction.edges.len().max(1) as f64;
-        (junction.edges.len() >= FEWEST).then_some(junction)
+        alignment.agreement /= alignment.edges.len().max(1) as f64;
+        (alignment.edges.len() >= MIN_KEYFRAMES).then_some(alignment)
     }
 
     fn compare(&mut self, earlier: usize, later: usize, guess: Pose2, window: SearchWindow) -> Option<Match> {
         let [earlier, later] = [earlier, later].map(|k| self.keyframes[k].view.as_ref());
-        self.matcher.compare(earlier?, later?, FirstGuess { window, ..guess.into() }).filter(|made| made.overlap >= OVERLAP)
+        self.matcher
+            .compare(earlier?, later?, FirstGuess { window, ..guess.into() })
+            .filter(|matched| matched.overlap >= MIN_OVERLAP)
     }
 }

@@ -1,4 +1,4 @@
-//! Places of the path that the map hangs on.
+//! Keyframes: the scans along the path that carry the map.
 
 use std::sync::Arc;
 
@@ -8,75 +8,78 @@ use crate::odometry::uncertainty;
 use crate::scan::Scan;
 use crate::time::Stamp;
 
-/// A scan, and where odometry says it was taken.
+/// A scan and its pose according to odometry.
 #[derive(Clone, Debug)]
-pub struct Sighting {
-    /// The scan as the laser would have seen it at its stamp: undistorted.
+pub struct PosedScan {
+    /// The scan, corrected for the robot's motion (deskewed): as seen from the laser's pose at its stamp.
     pub scan: Scan,
-    /// Pose of the base where it never jumps, not even when a place is recognised: a step that corrects earlier ones is no motion.
+    /// Pose of the base in the odometry frame. It never jumps, not even at a loop closure, because a correction of earlier poses is no
+    /// motion.
     pub odom_from_base: Pose2,
-    /// Covariance of that pose, along the axes of its frame.
+    /// Covariance of that pose, along the axes of the odometry frame.
     pub covariance: PoseCovariance,
-    /// Place of the laser on the base.
+    /// Pose of the laser on the base.
     pub base_from_laser: Pose2,
-    /// How odometry came to the pose.
-    pub passage: Passage,
+    /// How well the motion since the previous scan is known.
+    pub motion_status: MotionStatus,
 }
 
-impl Sighting {
-    /// Pose of the laser.
+impl PosedScan {
+    /// Pose of the laser in the odometry frame.
     pub fn odom_from_laser(&self) -> Pose2 {
         self.odom_from_base * self.base_from_laser
     }
 
-    /// Covariance of that pose, along the axes of the odometry's frame.
+    /// Covariance of the laser's pose, along the axes of the odometry frame.
     pub fn laser_covariance(&self) -> PoseCovariance {
         uncertainty::compound(&self.odom_from_base, &self.covariance, &self.base_from_laser, &PoseCovariance::zeros())
     }
 }
 
-/// How the robot came from the scan before to this one.
+/// How well the motion from the previous scan to this one is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Passage {
-    /// By a motion that is known.
+pub enum MotionStatus {
+    /// The motion is known.
     Known,
-    /// In a way that is not known well: the scan could not be matched.
+    /// The motion is poorly known, because the scan could not be matched.
     Lost,
-    /// There is none before: odometry has started anew, from wherever.
+    /// There is no previous scan: odometry has restarted at an unknown pose, and a new run begins.
     Start,
 }
 
-/// A place that others are compared with.
+/// A scan that other scans are matched against.
 #[derive(Clone, Debug)]
 pub struct Keyframe {
     /// When the scan was taken.
     pub stamp: Stamp,
-    /// Pose of the laser by odometry.
+    /// Pose of the laser in the odometry frame.
     pub odom_from_laser: Pose2,
-    /// What was seen; `None`: earlier keyframes have seen it as well, and nothing is compared with this one any more.
+    /// The prepared scan. `None` after it was dropped: earlier keyframes cover the same place, and nothing is matched against this one
+    /// any more.
     pub view: Option<Arc<View>>,
-    /// Number of the run that it is of; odometry says nothing of what is between two.
+    /// Number of the run. Odometry gives no motion between two runs.
     pub run: usize,
-    /// Way from the first keyframe of all runs to here, m.
-    pub way: f64,
+    /// Length of the path from the very first keyframe to this one, all runs added up, m.
+    pub path_length: f64,
 }
 
-/// When a place is another one.
+/// How far the laser must move before the next scan is used.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Spacing {
-    /// After this way, m, ...
+    /// Minimum distance, m.
     pub(super) distance: f64,
-    /// ... or this turn, rad.
+    /// Minimum rotation, rad; either of the two is enough.
     pub(super) angle: f64,
 }
 
 impl Spacing {
-    /// Between keyframes: near enough for scans to agree, far enough for errors of matches not to add up.
+    /// Spacing of keyframes: near enough for the scans to overlap, and far enough apart for few match errors to add up.
     pub(super) const KEYFRAMES: Self = Self { distance: 0.4, angle: 0.5 };
-    /// Between scans that are drawn: a robot at rest sees nothing new, and what stands about then is not all the more there.
-    pub(super) const DRAWN: Self = Self { distance: 0.05, angle: 0.05 };
+    /// Spacing of the scans inserted into the grid. A robot at rest sees nothing new, and people standing around must not gain weight
+    /// meanwhile.
+    pub(super) const GRID_SCANS: Self = Self { distance: 0.05, angle: 0.05 };
 
-    /// Whether a motion leads to another place.
+    /// Whether a motion exceeds the spacing.
     pub(super) fn is_exceeded_by(self, motion: &Pose2) -> bool {
         motion.distance() > self.distance || motion.theta.abs() > self.angle
     }

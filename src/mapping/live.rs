@@ -1,82 +1,82 @@
-//! A map that is made while the robot drives: work in small portions, memory by the area seen.
+//! Online mapping while the robot drives. Work is done in small portions, and memory grows with the mapped area, not with time.
 //!
-//! New keyframes look for places of earlier as they come; once one is found that moves the map, the rest of the path looks again. The grid
-//! is kept up to date scan by scan: one whose place has changed is taken out of it and drawn anew. Of each place the newest scans are
-//! kept, so that what has moved away vanishes, and of keyframes the first, which have drifted least.
+//! New keyframes search for loop closures as they arrive. After a loop closure that moves the map, the whole path is searched again.
+//! The grid is kept up to date scan by scan: a scan whose pose has changed is removed and inserted again. Of each place the newest
+//! scans are kept, so that objects that have moved away vanish; but the oldest keyframes, because they have drifted least.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use super::grid::EvidenceGrid;
-use super::keyframe::{Passage, Sighting, Spacing};
-use super::loops::{WINDOWS, Ways};
-use super::{Drawn, FINALLY, Mapper, ROUGHLY, SelfHits};
+use super::keyframe::{MotionStatus, PosedScan, Spacing};
+use super::loops::{RelativeUncertainty, WINDOWS};
+use super::{COARSE_TOLERANCE, FINAL_TOLERANCE, GridScan, Mapper, SelfHits};
 use crate::geometry::{Point, Pose2, wrap_angle};
 use crate::matching::MatchingKnobs;
 use crate::matching::classic::rejection::RejectionKnobs;
 use crate::scan::{Mask, Scan, ScanKnobs, Sector, Sectors};
 
-/// After this way, m, the newest keyframes look for places of earlier: half of what these look over at once.
-const LOOK: f64 = 1.0;
-/// Poses that new edges say to be off by less than this, m, ...
-const SLIGHT: f64 = 0.01;
-/// ... and this, rad, are left alone: no wall of the grid would move.
-const SLIGHT_TURN: f64 = 0.003;
-/// Edges that say more than this, m, ...
-const NEWS: f64 = 0.1;
-/// ... or this, rad, are news for the whole path.
-const NEWS_TURN: f64 = 0.02;
-/// Rays of the lasers that [`Spacing::DRAWN`] is for; with more of them fewer scans show as much.
-const FEW_RAYS: usize = 361;
-/// Side of a place that scans are kept of, m.
-const PLACE: f64 = 0.5;
-/// Keyframes of a place are told apart by the eighth that the laser looked to; so many are kept with what they saw.
-const VIEWS_KEPT: usize = 3;
-/// The last keyframes are kept for what comes next: over this way, m.
-const RECENT: f64 = 25.0;
-/// A scan whose place has changed by this part of a cell is drawn anew.
-const PART_OF_CELL: f64 = 0.3;
-/// Turns count by what they do at this distance, m.
-const LEVER: f64 = 5.0;
-/// A run of which nobody knows where on the map it began is looked for when it has become so long, m, and then each time it has doubled.
-const FIRST_JOIN: f64 = 6.0;
-/// From one look for the robot in its own scans to the next, keyframes.
+/// Path length between two loop closure searches of the newest keyframes, m: half a segment of the path.
+const SEARCH_INTERVAL: f64 = 1.0;
+/// New loop edges with smaller position errors than this, m, do not trigger an optimization: no wall of the grid would move.
+const MIN_CORRECTION: f64 = 0.01;
+/// The same for rotation errors, rad.
+const MIN_ROTATION_CORRECTION: f64 = 0.003;
+/// New loop edges with larger position errors than this, m, trigger a loop closure search over the whole path.
+const LARGE_CORRECTION: f64 = 0.1;
+/// The same for rotation errors, rad.
+const LARGE_ROTATION_CORRECTION: f64 = 0.02;
+/// Number of rays per scan that [`Spacing::GRID_SCANS`] is meant for. With more rays, fewer scans are enough.
+const REFERENCE_RAYS: usize = 361;
+/// Side length of the bins that limit the number of scans, m.
+const BIN_SIZE: f64 = 0.5;
+/// Maximum number of keyframes per bin that keep their scans. The bins of keyframes have eight headings.
+const MAX_VIEWS_PER_BIN: usize = 3;
+/// Path length over which the newest keyframes keep their scans in any case, m.
+const RECENT_LENGTH: f64 = 25.0;
+/// Shift of a scan, as a fraction of a cell, beyond which it is inserted again.
+const MAX_SHIFT: f64 = 0.3;
+/// Lever arm that converts rotations to shifts, m.
+const LEVER_ARM: f64 = 5.0;
+/// Length at which a run with an unknown start is first searched for on the map, m; then again each time its length has doubled.
+const FIRST_JOIN_LENGTH: f64 = 6.0;
+/// Number of keyframes between two updates of the self-hit mask.
 const SELF_HIT_PERIOD: usize = 25;
 
-/// Of which run, where, and which way the laser looked.
-type Place = (usize, i64, i64, i64);
+/// Key of a bin: run, column, row, heading.
+type Bin = (usize, i64, i64, i64);
 
-/// A map of what is seen while the robot drives.
+/// A map that is built while the robot drives.
 pub struct LiveMap {
     mapper: Mapper,
     grid: EvidenceGrid,
     resolution: f64,
-    /// Runs so far.
+    /// Number of runs so far.
     runs: usize,
-    /// Scans of each place, by their indices among those drawn.
-    scans: BTreeMap<Place, VecDeque<usize>>,
-    /// Keyframes of each place that are kept with what they saw.
-    views: BTreeMap<Place, usize>,
-    /// Keyframes from here on are still with what they saw.
+    /// By bin: the scans in the grid, as indices into the mapper's list.
+    scans: BTreeMap<Bin, VecDeque<usize>>,
+    /// By bin: number of older keyframes that keep their scans.
+    views: BTreeMap<Bin, usize>,
+    /// Index of the oldest keyframe within [`RECENT_LENGTH`]; later ones all have their scans.
     oldest_recent: usize,
-    /// Way at which the newest keyframes look for places of earlier.
-    next_look: f64,
-    /// The first keyframe that has not looked.
-    unlooked: usize,
-    /// Index of the window that the whole path is to look through again; past the end: none.
-    window: usize,
-    /// Way of the run at which its place on the map is looked for.
+    /// Path length at which the newest keyframes search for loop closures.
+    next_search: f64,
+    /// Index of the first keyframe that has not been searched for loop closures.
+    first_unsearched: usize,
+    /// Index of the search window that is next for the whole path; past the end if there is nothing to do.
+    window_index: usize,
+    /// Path length at which the current run is searched for on the map.
     next_join: f64,
-    /// The first scan that may not be in its place in the grid.
-    next_scan: usize,
-    /// Whether the grid has changed since it was last asked for.
+    /// Index of the first scan whose pose in the grid may be outdated.
+    first_outdated_scan: usize,
+    /// Whether the grid has changed since the last call of [`Self::changed_grid`].
     has_changed: bool,
     self_hits: SelfHits,
     mask: Mask,
-    masked: Vec<Sector>,
+    masked_sectors: Vec<Sector>,
 }
 
 impl LiveMap {
-    /// An empty map. `resolution`: the side of a cell of its grid, m.
+    /// Creates an empty map; `resolution` is the side length of a grid cell, m.
     pub fn new(matching: &MatchingKnobs, rejection: &RejectionKnobs, resolution: f64) -> Self {
         Self {
             mapper: Mapper::new(matching, rejection),
@@ -86,76 +86,77 @@ impl LiveMap {
             scans: BTreeMap::new(),
             views: BTreeMap::new(),
             oldest_recent: 0,
-            next_look: LOOK,
-            unlooked: 0,
-            window: WINDOWS.len(),
+            next_search: SEARCH_INTERVAL,
+            first_unsearched: 0,
+            window_index: WINDOWS.len(),
             next_join: f64::INFINITY,
-            next_scan: 0,
+            first_outdated_scan: 0,
             has_changed: false,
             self_hits: SelfHits::default(),
             mask: Mask::new(&ScanKnobs::default()),
-            masked: Vec::new(),
+            masked_sectors: Vec::new(),
         }
     }
 
-    /// Takes a scan, `measured` as the laser saw it; answers whether it has become a keyframe.
-    pub fn add(&mut self, sighting: Sighting, measured: &Scan) -> bool {
-        self.self_hits.add(measured, &sighting.odom_from_laser());
-        let is_start = sighting.passage == Passage::Start || self.mapper.keyframes.is_empty();
-        let rays = sighting.scan.len();
-        let many = (rays as f64 / FEW_RAYS as f64).max(1.0);
-        self.mapper.drawn_spacing = Spacing { distance: many * Spacing::DRAWN.distance, angle: many * Spacing::DRAWN.angle };
+    /// Adds a scan; `measured` is the raw scan. Returns whether it has become a keyframe.
+    pub fn add(&mut self, posed_scan: PosedScan, measured: &Scan) -> bool {
+        self.self_hits.add(measured, &posed_scan.odom_from_laser());
+        let is_start = posed_scan.motion_status == MotionStatus::Start || self.mapper.keyframes.is_empty();
+        let rays = posed_scan.scan.len();
+        let factor = (rays as f64 / REFERENCE_RAYS as f64).max(1.0);
+        self.mapper.grid_spacing =
+            Spacing { distance: factor * Spacing::GRID_SCANS.distance, angle: factor * Spacing::GRID_SCANS.angle };
         self.runs += usize::from(is_start);
-        let (before, is_first) = (self.mapper.drawn.len(), self.mapper.keyframes.is_empty());
-        let is_keyframe = self.mapper.add(sighting);
-        self.mapper.steps.drain(..self.mapper.steps.len().saturating_sub(1)); // nobody asks for the whole path
-        (before..self.mapper.drawn.len()).for_each(|scan| self.keep(scan));
+        let (before, is_first) = (self.mapper.grid_scans.len(), self.mapper.keyframes.is_empty());
+        let is_keyframe = self.mapper.add(posed_scan);
+        self.mapper.nodes.drain(..self.mapper.nodes.len().saturating_sub(1)); // the whole path is not needed
+        (before..self.mapper.grid_scans.len()).for_each(|scan| self.add_grid_scan(scan));
         if is_start {
-            self.next_join = if is_first { f64::INFINITY } else { self.way() + FIRST_JOIN };
+            self.next_join = if is_first { f64::INFINITY } else { self.path_length() + FIRST_JOIN_LENGTH };
         }
         if is_keyframe {
-            self.let_old_views_go();
-            self.look_for_robot();
-            self.look();
+            self.release_old_views();
+            self.update_self_hit_mask();
+            self.search_for_loops();
         }
         is_keyframe
     }
 
-    /// Way to the newest keyframe, m.
-    fn way(&self) -> f64 {
-        self.mapper.keyframes.last().map_or(0.0, |keyframe| keyframe.way)
+    /// Path length up to the newest keyframe, m.
+    fn path_length(&self) -> f64 {
+        self.mapper.keyframes.last().map_or(0.0, |keyframe| keyframe.path_length)
     }
 
-    /// Notes a scan for its place; the oldest one there may go for it.
+    /// Adds a scan to its bin; drops the oldest scan of the bin if it is full.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // ten at most
-    fn keep(&mut self, scan: usize) {
-        let step = self.mapper.drawn[scan].step;
-        let map_from_laser = self.mapper.placer().place(&step, &step.odom_from_laser);
-        mask_out(&mut self.mapper.drawn[scan].points, &self.mask);
-        // Of each quarter that the laser looked to: those of one drive through it.
-        let kept = (PLACE / self.mapper.drawn_spacing.distance).ceil() as usize;
-        let scans = self.scans.entry(place(self.runs, &map_from_laser, PLACE, 4)).or_default();
+    fn add_grid_scan(&mut self, scan: usize) {
+        let node = self.mapper.grid_scans[scan].node;
+        let map_from_laser = self.mapper.interpolator().map_pose(&node, &node.odom_from_laser);
+        remove_masked(&mut self.mapper.grid_scans[scan].points, &self.mask);
+        // For each of four headings: as many scans as one drive through the bin yields.
+        let kept = (BIN_SIZE / self.mapper.grid_spacing.distance).ceil() as usize;
+        let scans = self.scans.entry(bin(self.runs, &map_from_laser, BIN_SIZE, 4)).or_default();
         scans.push_back(scan);
         if scans.len() > kept
             && let Some(oldest) = scans.pop_front()
         {
-            let Drawn { points, at, .. } = &mut self.mapper.drawn[oldest];
-            if let Some(at) = at.take() {
-                self.grid.erase(points, &at);
+            let GridScan { points, inserted_at, .. } = &mut self.mapper.grid_scans[oldest];
+            if let Some(pose) = inserted_at.take() {
+                self.grid.remove(points, &pose);
             }
             *points = Vec::new();
         }
-        self.next_scan = self.next_scan.min(scan);
+        self.first_outdated_scan = self.first_outdated_scan.min(scan);
     }
 
-    /// Of keyframes that are not among the last any more, those of places that others have seen let go of what they saw.
-    fn let_old_views_go(&mut self) {
-        let recent = self.way() - RECENT;
-        while self.mapper.keyframes[self.oldest_recent].way < recent {
+    /// Drops the scans of keyframes that are no longer recent, if their bin has enough other keyframes.
+    fn release_old_views(&mut self) {
+        let recent = self.path_length() - RECENT_LENGTH;
+        while self.mapper.keyframes[self.oldest_recent].path_length < recent {
             let run = self.mapper.keyframes[self.oldest_recent].run;
-            let place = place(run, &self.mapper.graph.poses()[self.oldest_recent], 2.0 * PLACE, 8);
-            let views = self.views.entry(place).or_default();
-            if *views < VIEWS_KEPT {
+            let bin = bin(run, &self.mapper.graph.poses()[self.oldest_recent], 2.0 * BIN_SIZE, 8);
+            let views = self.views.entry(bin).or_default();
+            if *views < MAX_VIEWS_PER_BIN {
                 *views += 1;
             } else {
                 self.mapper.keyframes[self.oldest_recent].view = None;
@@ -165,188 +166,193 @@ impl LiveMap {
         }
     }
 
-    /// Rays that see the robot are drawn no more, nor stay in the grid.
-    fn look_for_robot(&mut self) {
+    /// Updates the self-hit mask, and removes the masked rays from the grid.
+    fn update_self_hit_mask(&mut self) {
         if !self.mapper.keyframes.len().is_multiple_of(SELF_HIT_PERIOD) {
             return;
         }
-        let found = self.self_hits.found();
-        if found.len() <= self.masked.len() {
+        let sectors = self.self_hits.sectors();
+        if sectors.len() <= self.masked_sectors.len() {
             return;
         }
-        self.masked.clone_from(&found);
-        self.mask = Mask::new(&ScanKnobs { masked_sectors: Sectors(found), ..ScanKnobs::default() });
-        for Drawn { points, at, .. } in &mut self.mapper.drawn {
-            if let Some(at) = at.take() {
-                self.grid.erase(points, &at);
+        self.masked_sectors.clone_from(&sectors);
+        self.mask = Mask::new(&ScanKnobs { masked_sectors: Sectors(sectors), ..ScanKnobs::default() });
+        for GridScan { points, inserted_at, .. } in &mut self.mapper.grid_scans {
+            if let Some(pose) = inserted_at.take() {
+                self.grid.remove(points, &pose);
             }
-            mask_out(points, &self.mask);
+            remove_masked(points, &self.mask);
         }
-        self.next_scan = 0;
+        self.first_outdated_scan = 0;
     }
 
-    /// The newest keyframes look for places of earlier.
-    fn look(&mut self) {
-        if self.way() >= self.next_join {
+    /// Searches for loop closures of the newest keyframes, and for the start of a run on the map.
+    fn search_for_loops(&mut self) {
+        if self.path_length() >= self.next_join {
             let run = self.mapper.keyframes.last().map(|keyframe| keyframe.run);
-            let begun = self.mapper.keyframes.iter().find(|keyframe| Some(keyframe.run) == run).map_or(0.0, |first| first.way);
-            self.next_join = self.way() + (self.way() - begun);
+            let start =
+                self.mapper.keyframes.iter().find(|keyframe| Some(keyframe.run) == run).map_or(0.0, |first| first.path_length);
+            self.next_join = self.path_length() + (self.path_length() - start);
             if self.mapper.unplaced_runs() == 0 {
                 self.next_join = f64::INFINITY;
             } else if self.mapper.join_runs() {
-                (self.next_scan, self.window) = (0, 0);
+                (self.first_outdated_scan, self.window_index) = (0, 0);
             }
         }
-        if self.way() < self.next_look {
+        if self.path_length() < self.next_search {
             return;
         }
-        self.next_look = self.way() + LOOK;
+        self.next_search = self.path_length() + SEARCH_INTERVAL;
         let newest = self.mapper.keyframes.len() - 1;
-        let error = self.mapper.look_around(self.unlooked);
-        self.unlooked = newest;
-        let is_beyond = |distance: f64, turn: f64| error.distance() > distance || error.theta.abs() > turn;
-        if is_beyond(SLIGHT, SLIGHT_TURN) {
-            self.mapper.graph.optimize(ROUGHLY);
-            self.next_scan = 0;
+        let error = self.mapper.add_loop_edges(self.first_unsearched);
+        self.first_unsearched = newest;
+        let is_beyond = |distance: f64, rotation: f64| error.distance() > distance || error.theta.abs() > rotation;
+        if is_beyond(MIN_CORRECTION, MIN_ROTATION_CORRECTION) {
+            self.mapper.graph.optimize(COARSE_TOLERANCE);
+            self.first_outdated_scan = 0;
         }
-        if is_beyond(NEWS, NEWS_TURN) {
-            self.window = 0;
+        if is_beyond(LARGE_CORRECTION, LARGE_ROTATION_CORRECTION) {
+            self.window_index = 0;
         }
     }
 
-    /// A portion of the work that is left: drawing some `scans`, or, where all are drawn, a look over the whole path. Answers whether there is
-    /// more to do.
+    /// Does a portion of the pending work: inserts up to `scans` scans into the grid, or else runs one round of loop closure search
+    /// over the whole path. Returns whether there is more to do.
     pub fn work(&mut self, scans: usize) -> bool {
-        if self.draw(scans) {
+        if self.insert_scans(scans) {
             return true;
         }
-        let has_news = self.improve();
-        if has_news {
-            self.next_scan = 0;
+        let was_pending = self.improve();
+        if was_pending {
+            self.first_outdated_scan = 0;
         }
-        has_news
+        was_pending
     }
 
-    /// A look over the whole path, if there are news; answers whether there were.
+    /// Runs one round of loop closure search over the whole path, if one is pending; returns whether it was.
     fn improve(&mut self) -> bool {
-        let has_news = self.window < WINDOWS.len();
-        if has_news {
-            self.mapper.window = self.window;
+        let was_pending = self.window_index < WINDOWS.len();
+        if was_pending {
+            self.mapper.window_index = self.window_index;
             self.mapper.improve();
-            self.window = self.mapper.window;
+            self.window_index = self.mapper.window_index;
         }
-        has_news
+        was_pending
     }
 
-    /// Draws some scans that are not where they belong; answers whether there are more.
-    fn draw(&mut self, mut most: usize) -> bool {
-        if self.next_scan >= self.mapper.drawn.len() {
+    /// Inserts up to `max` scans whose poses in the grid are missing or outdated; returns whether there are more.
+    fn insert_scans(&mut self, mut max: usize) -> bool {
+        if self.first_outdated_scan >= self.mapper.grid_scans.len() {
             return false;
         }
-        // One run is all on the map.
-        let is_placed = if self.runs > 1 { self.mapper.placed() } else { vec![true; self.mapper.keyframes.len()] };
-        while most > 0 && self.next_scan < self.mapper.drawn.len() {
-            let Drawn { step, points, at } = &self.mapper.drawn[self.next_scan];
-            let map_from_laser = self.mapper.placer().place(step, &step.odom_from_laser);
-            let stays = points.is_empty() || !is_placed[step.keyframe] || at.is_some_and(|at| self.is_near(&at, &map_from_laser));
-            if !stays {
-                if let Some(at) = at {
-                    self.grid.erase(points, at);
+        // A single run is always on the map.
+        let is_on_map = if self.runs > 1 { self.mapper.is_on_map() } else { vec![true; self.mapper.keyframes.len()] };
+        while max > 0 && self.first_outdated_scan < self.mapper.grid_scans.len() {
+            let GridScan { node, points, inserted_at } = &self.mapper.grid_scans[self.first_outdated_scan];
+            let map_from_laser = self.mapper.interpolator().map_pose(node, &node.odom_from_laser);
+            let is_done = points.is_empty()
+                || !is_on_map[node.keyframe]
+                || inserted_at.is_some_and(|pose| self.is_up_to_date(&pose, &map_from_laser));
+            if !is_done {
+                if let Some(pose) = inserted_at {
+                    self.grid.remove(points, pose);
                 }
-                self.grid.draw(points, &map_from_laser);
-                self.mapper.drawn[self.next_scan].at = Some(map_from_laser);
+                self.grid.insert(points, &map_from_laser);
+                self.mapper.grid_scans[self.first_outdated_scan].inserted_at = Some(map_from_laser);
                 self.has_changed = true;
-                most -= 1;
+                max -= 1;
             }
-            self.next_scan += 1;
+            self.first_outdated_scan += 1;
         }
-        // The place of the last ones may change as the next keyframe comes.
+        // The next keyframe may still change the poses of the scans since the last one.
         let last = self.mapper.keyframes.len() - 1;
-        let open = self.mapper.drawn.iter().rev().take_while(|drawn| drawn.step.keyframe >= last).count();
-        if self.next_scan >= self.mapper.drawn.len() {
-            self.next_scan = self.mapper.drawn.len() - open;
+        let unsettled = self.mapper.grid_scans.iter().rev().take_while(|scan| scan.node.keyframe >= last).count();
+        if self.first_outdated_scan >= self.mapper.grid_scans.len() {
+            self.first_outdated_scan = self.mapper.grid_scans.len() - unsettled;
             return false;
         }
         true
     }
 
-    fn is_near(&self, a: &Pose2, b: &Pose2) -> bool {
-        let most = PART_OF_CELL * self.resolution;
-        (a.translation() - b.translation()).norm() < most && wrap_angle(a.theta - b.theta).abs() * LEVER < most
+    fn is_up_to_date(&self, a: &Pose2, b: &Pose2) -> bool {
+        let max_shift = MAX_SHIFT * self.resolution;
+        (a.translation() - b.translation()).norm() < max_shift && wrap_angle(a.theta - b.theta).abs() * LEVER_ARM < max_shift
     }
 
-    /// Does all the work that is left, whatever time it takes, and draws the grid anew: now every scan is where the graph says.
+    /// Completes all pending work, however long it takes, and rebuilds the grid from the optimized poses.
     pub fn settle(&mut self) {
         while self.improve() {}
-        self.mapper.graph.optimize(FINALLY);
+        self.mapper.graph.optimize(FINAL_TOLERANCE);
         self.grid = EvidenceGrid::new(self.resolution);
-        for drawn in &mut self.mapper.drawn {
-            drawn.at = None;
+        for scan in &mut self.mapper.grid_scans {
+            scan.inserted_at = None;
         }
-        self.next_scan = 0;
-        while self.draw(usize::MAX) {}
+        self.first_outdated_scan = 0;
+        while self.insert_scans(usize::MAX) {}
     }
 
-    /// What takes the frame of the odometry, of the run that the robot is on, to the map.
+    /// Transform from the odometry frame of the current run to the map.
     pub fn map_from_odom(&self) -> Pose2 {
         let newest = self.mapper.keyframes.last().zip(self.mapper.graph.poses().last());
         newest.map_or(Pose2::IDENTITY, |(keyframe, pose)| *pose * keyframe.odom_from_laser.inverse())
     }
 
-    /// The grid, if it has changed since it was last asked for.
+    /// The grid, if it has changed since the last call.
     pub fn changed_grid(&mut self) -> Option<&EvidenceGrid> {
         std::mem::take(&mut self.has_changed).then_some(&self.grid)
     }
 
-    /// The grid as it is.
+    /// The current grid.
     pub fn grid(&self) -> &EvidenceGrid {
         &self.grid
     }
 
-    /// The keyframes and what is known of the motions between them.
+    /// The mapper, with the keyframes and the pose graph.
     pub fn mapper(&self) -> &Mapper {
         &self.mapper
     }
 
-    /// Rays that see the robot, by their bearings and ranges.
+    /// Sectors in which the laser sees the robot.
     pub fn self_hits(&self) -> &[Sector] {
-        &self.masked
+        &self.masked_sectors
     }
 }
 
 impl Mapper {
-    /// Edges from the keyframes from `since` on to places of earlier, in the smallest window that has any; how far they say that the poses
-    /// are off.
-    fn look_around(&mut self, since: usize) -> Pose2 {
-        let ways = Ways::new(&self.graph);
+    /// Adds loop edges for the keyframes from `since` on, found in the smallest window that yields any; returns their largest position
+    /// error (as x) and rotation error.
+    fn add_loop_edges(&mut self, since: usize) -> Pose2 {
+        let uncertainty = RelativeUncertainty::new(&self.graph);
         for limit in WINDOWS {
-            let found = self.loops.find(&self.keyframes, &ways, &mut self.matcher, limit, since);
+            let found = self.loops.find(&self.keyframes, &uncertainty, &mut self.matcher, limit, since);
             if found.is_empty() {
                 continue;
             }
             let poses = self.graph.poses();
             let errors = found.iter().map(|edge| poses[edge.from].between(&poses[edge.to]).between(&edge.motion));
-            let worst = errors.fold(Pose2::IDENTITY, |worst, error| {
-                Pose2::new(worst.x.max(error.distance()), 0.0, worst.theta.max(error.theta.abs()))
+            let max_error = errors.fold(Pose2::IDENTITY, |max_error, error| {
+                Pose2::new(max_error.x.max(error.distance()), 0.0, max_error.theta.max(error.theta.abs()))
             });
             for edge in found {
                 self.graph.add_edge(edge);
             }
-            return worst;
+            return max_error;
         }
         Pose2::IDENTITY
     }
 }
 
+/// The bin of a pose, with cells of `side` metres and this many headings.
 #[allow(clippy::cast_possible_truncation)] // saturates
-fn place(run: usize, pose: &Pose2, side: f64, directions: i64) -> Place {
-    let part = std::f64::consts::TAU / directions as f64;
+fn bin(run: usize, pose: &Pose2, side: f64, directions: i64) -> Bin {
+    let step = std::f64::consts::TAU / directions as f64;
     let cell = |x: f64| (x / side).floor() as i64;
-    (run, cell(pose.x), cell(pose.y), ((pose.theta / part).round() as i64).rem_euclid(directions))
+    (run, cell(pose.x), cell(pose.y), ((pose.theta / step).round() as i64).rem_euclid(directions))
 }
 
+/// Replaces the end points of masked rays by NaN.
 #[allow(clippy::cast_possible_truncation)]
-fn mask_out(points: &mut [[f32; 2]], mask: &Mask) {
+fn remove_masked(points: &mut [[f32; 2]], mask: &Mask) {
     if mask.is_empty() {
         return;
     }

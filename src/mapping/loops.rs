@@ -1,10 +1,10 @@
-//! Places of earlier along the path: where to look for them, and which of what is found to believe.
+//! Loop closure candidates: where to search for earlier places along the path, and which matches to accept.
 //!
-//! Where two keyframes are relative to each other is known as well as the best way between them along the graph's edges (E. Olson, "Robust and efficient robotic
-//! mapping", 2008: Dijkstra's algorithm over covariances). That is the window to look in. Small windows come first: what is found there is
-//! sure, and makes others smaller. In a window that other places fit into, one match proves nothing: there several keyframes in a row have
-//! to agree on the same correction, and no other place in the window may fit as well. In two corridors that look alike the right one is
-//! found once the window is less than what they are apart, and before that none.
+//! The relative pose covariance of two keyframes is that of the best path between them along the graph's edges (E. Olson, "Robust and
+//! efficient robotic mapping", 2008: Dijkstra's algorithm over covariances). It defines the search window. Small windows come first:
+//! their matches are unambiguous, and they shrink the other windows. In a large window a single match proves nothing, because other
+//! places may fit, too. There, several consecutive keyframes must agree on the same correction, and no other place in the window may
+//! fit as well. Between two corridors that look alike, a loop is closed only once the window is smaller than their distance.
 
 use std::collections::{BTreeMap, BinaryHeap};
 use std::ops::Range;
@@ -14,64 +14,64 @@ use super::keyframe::Keyframe;
 use super::pose_graph::{Edge, EdgeKind, PoseGraph};
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::{FirstGuess, SearchWindow};
-use crate::odometry::uncertainty::{carried, turned};
+use crate::odometry::uncertainty::{propagated, rotated};
 
-/// Keyframes must be so many apart to be of two visits.
-const APART: usize = 8;
-/// Laser places farther apart than this, m, see too little of the same.
-const REACH: f64 = 1.5;
-/// Loop edges that a keyframe begins at most.
-const EDGES: usize = 2;
-/// The window is this many standard deviations.
-const SIGMAS: f64 = 3.0;
-/// In a window of this, m, ...
-const SMALL: f64 = 0.3;
-/// ... and this, rad, a match from its middle finds what is there, and nothing else fits.
-const SMALL_TURN: f64 = 0.1;
-/// Windows are looked through up to this to either side, m, each only when nothing more is found in those before ...
-pub(super) const WINDOWS: [f64; 5] = [SMALL, 1.0, 2.5, 5.0, 10.0];
-/// ... and up to this turn, rad.
-const MOST_TURN: f64 = 0.35;
-/// Least part of the rays that must agree in a small window, ...
-const AGREEING: f64 = 0.6;
-/// ... and in others.
-const SURE: f64 = 0.75;
-/// Least part of the rays that must see what the other keyframe has seen.
-const OVERLAP: f64 = 0.4;
-/// Of a match of a greater condition number it is not clear where along a wall it belongs.
-const GREATEST_CONDITION: f64 = 50.0;
-/// Keyframes in a row that must agree on a correction ...
-const IN_A_ROW: usize = 3;
-/// ... to within this, m, ...
-const CONSISTENT: f64 = 0.15;
-/// ... and rad.
-const CONSISTENT_TURN: f64 = 0.02;
-/// Another place whose part of agreeing rays is within this of the best one's is a rival.
-const RIVAL: f64 = 0.1;
-/// A keyframe is tried again when its guess has moved by this, m and rad.
-const NEWS: f64 = 0.05;
-/// Over this way the window is taken to be the same, m.
-const STRETCH: f64 = 2.0;
-/// Keyframes with a way of more than this between them are of two visits to a place, m.
-const VISIT: f64 = 15.0;
-/// Errors of the heading count by what they do at this distance, m.
-const LEVER: f64 = 5.0;
+/// Minimum difference of the indices of two keyframes of different visits.
+const MIN_INDEX_DIFFERENCE: usize = 8;
+/// Maximum distance of the lasers, m; beyond it two keyframes overlap too little.
+const MAX_DISTANCE: f64 = 1.5;
+/// Maximum number of loop edges from a keyframe to earlier ones.
+const MAX_EDGES: usize = 2;
+/// Half-width of a search window, standard deviations.
+const WINDOW_SIGMAS: f64 = 3.0;
+/// Largest half-width of a small window, m. There a match started at the centre finds the right pose, and nothing else fits.
+const SMALL_WINDOW: f64 = 0.3;
+/// Largest half-width of a small window, rad.
+const SMALL_WINDOW_ANGLE: f64 = 0.1;
+/// Half-widths of the windows that are searched, m; a larger one only when the smaller ones yield nothing more.
+pub(super) const WINDOWS: [f64; 5] = [SMALL_WINDOW, 1.0, 2.5, 5.0, 10.0];
+/// Maximum half-width of a window, rad.
+const MAX_WINDOW_ANGLE: f64 = 0.35;
+/// Minimum fraction of rays that must agree in a small window.
+const MIN_AGREEMENT: f64 = 0.6;
+/// Minimum fraction of rays that must agree in larger windows.
+const MIN_AGREEMENT_IN_LARGE_WINDOWS: f64 = 0.75;
+/// Minimum fraction of rays that must end within the other keyframe's view.
+const MIN_OVERLAP: f64 = 0.4;
+/// Maximum condition number of a match; beyond it the position along a wall is poorly constrained.
+const MAX_CONDITION_NUMBER: f64 = 50.0;
+/// Minimum number of consecutive keyframes that must agree on a correction.
+const MIN_MATCHES: usize = 3;
+/// Maximum distance between the corrected poses of keyframes that agree, m.
+const CONSISTENT_DISTANCE: f64 = 0.15;
+/// Maximum rotation between the corrected poses of keyframes that agree, rad.
+const CONSISTENT_ANGLE: f64 = 0.02;
+/// A competing hypothesis whose fraction of agreeing rays is within this margin of the best one's makes the result ambiguous.
+const AMBIGUITY_MARGIN: f64 = 0.1;
+/// A pair of keyframes is matched again when its initial guess has changed by this, m and rad.
+const RETRY_CHANGE: f64 = 0.05;
+/// Length of a segment of the path, m. All its keyframes share one search window.
+const SEGMENT_LENGTH: f64 = 2.0;
+/// Minimum path length between two visits to a place, m.
+const MIN_VISIT_GAP: f64 = 15.0;
+/// Lever arm that converts heading errors to position errors, m.
+const LEVER_ARM: f64 = 5.0;
 
-/// Looks for places of earlier; remembers what it has tried.
+/// Searches for loop closures, and remembers previous attempts.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LoopSearch {
-    /// By later and earlier keyframe: the guess of the last try, and what it has come to.
-    tried: BTreeMap<(usize, usize), (Pose2, Option<Match>)>,
-    /// The earlier keyframes of the loop edges, by the later ones.
-    begun: BTreeMap<usize, Vec<usize>>,
+    /// By later and earlier keyframe: initial guess and result of the last attempt.
+    attempts: BTreeMap<(usize, usize), (Pose2, Option<Match>)>,
+    /// By later keyframe: the earlier keyframes that it has loop edges to.
+    loop_edges: BTreeMap<usize, Vec<usize>>,
 }
 
-/// What is known of the place of one keyframe seen from another.
+/// Search window: bounds on the pose of one keyframe relative to another.
 #[derive(Clone, Copy, Debug)]
 struct Window {
-    /// m.
+    /// Half-width, m.
     distance: f64,
-    /// rad.
+    /// Half-width, rad.
     angle: f64,
 }
 
@@ -79,21 +79,20 @@ impl Window {
     fn of(covariance: &PoseCovariance) -> Self {
         let (mean, half) = (0.5 * (covariance.m11 + covariance.m22), 0.5 * (covariance.m11 - covariance.m22));
         let variance = mean + half.hypot(covariance.m12);
-        Self { distance: SIGMAS * variance.max(0.0).sqrt(), angle: SIGMAS * covariance.m33.max(0.0).sqrt() }
+        Self { distance: WINDOW_SIGMAS * variance.max(0.0).sqrt(), angle: WINDOW_SIGMAS * covariance.m33.max(0.0).sqrt() }
     }
 
     fn is_small(self) -> bool {
-        self.distance <= SMALL && self.angle <= SMALL_TURN
+        self.distance <= SMALL_WINDOW && self.angle <= SMALL_WINDOW_ANGLE
     }
 }
 
 impl LoopSearch {
-    /// Edges to places of earlier, found in windows of `limit` metres at most, for the stretches of the path that end after the keyframe
-    /// `since`.
+    /// Returns new loop edges, searched in windows of at most `limit` metres, for the segments of the path that end after keyframe `since`.
     pub(super) fn find(
         &mut self,
         keyframes: &[Keyframe],
-        ways: &Ways,
+        uncertainty: &RelativeUncertainty,
         matcher: &mut EdgeMatcher,
         limit: f64,
         since: usize,
@@ -101,173 +100,179 @@ impl LoopSearch {
         let mut found = Vec::new();
         let mut start = 0;
         while start < keyframes.len() {
-            let is_of_stretch = |k: &Keyframe| k.run == keyframes[start].run && k.way - keyframes[start].way < STRETCH;
-            let end = start + keyframes[start..].iter().take_while(|k| is_of_stretch(k)).count();
-            let mut stretch = Stretch { keyframes, poses: ways.poses, later: start..end, near: Vec::new(), limit };
+            let is_in_segment =
+                |k: &Keyframe| k.run == keyframes[start].run && k.path_length - keyframes[start].path_length < SEGMENT_LENGTH;
+            let end = start + keyframes[start..].iter().take_while(|k| is_in_segment(k)).count();
+            let mut segment = Segment { keyframes, poses: uncertainty.poses, later: start..end, candidates: Vec::new(), limit };
             if end <= since {
                 start = end;
                 continue;
             }
-            if limit <= SMALL {
-                stretch.find_near(ways);
-                self.track(&stretch, matcher, &mut found);
-            } else if !(start..end).any(|k| self.begun.contains_key(&k)) {
-                stretch.find_near(ways);
-                self.seek(&stretch, matcher, &mut found);
+            if limit <= SMALL_WINDOW {
+                segment.find_candidates(uncertainty);
+                self.match_small_windows(&segment, matcher, &mut found);
+            } else if !(start..end).any(|k| self.loop_edges.contains_key(&k)) {
+                segment.find_candidates(uncertainty);
+                self.search_large_windows(&segment, matcher, &mut found);
             }
             start = end;
         }
         found
     }
 
-    /// Forgets what was tried for a keyframe that lets go of what it saw.
+    /// Drops the attempts of a keyframe whose scan was released.
     pub(super) fn forget(&mut self, later: usize) {
-        let tried: Vec<usize> = self.tried.range((later, 0)..(later + 1, 0)).map(|(&(_, earlier), _)| earlier).collect();
-        for earlier in tried {
-            self.tried.remove(&(later, earlier));
+        let earlier: Vec<usize> = self.attempts.range((later, 0)..(later + 1, 0)).map(|(&(_, earlier), _)| earlier).collect();
+        for earlier in earlier {
+            self.attempts.remove(&(later, earlier));
         }
     }
 
-    /// Matches keyframes to the nearest ones of other visits, where these can only be where they seem to be.
-    fn track(&mut self, stretch: &Stretch, matcher: &mut EdgeMatcher, found: &mut Vec<Edge>) {
-        for later in stretch.later.clone() {
-            let small = stretch.near.iter().filter(|(earlier, window)| window.is_small() && earlier + APART < later);
-            let place = stretch.poses[later].translation();
-            let mut near: Vec<(f64, usize)> = small
-                .filter(|(earlier, _)| (stretch.poses[*earlier].translation() - place).norm_squared() < REACH * REACH)
-                .map(|&(earlier, _)| (stretch.difference(earlier, later), earlier))
-                .filter(|(difference, _)| *difference < REACH)
+    /// Matches the keyframes of a segment against the nearest ones of earlier visits, if their windows are small.
+    fn match_small_windows(&mut self, segment: &Segment, matcher: &mut EdgeMatcher, found: &mut Vec<Edge>) {
+        for later in segment.later.clone() {
+            let small =
+                segment.candidates.iter().filter(|(earlier, window)| window.is_small() && earlier + MIN_INDEX_DIFFERENCE < later);
+            let position = segment.poses[later].translation();
+            let mut nearest: Vec<(f64, usize)> = small
+                .filter(|(earlier, _)| {
+                    (segment.poses[*earlier].translation() - position).norm_squared() < MAX_DISTANCE * MAX_DISTANCE
+                })
+                .map(|&(earlier, _)| (segment.view_difference(earlier, later), earlier))
+                .filter(|(difference, _)| *difference < MAX_DISTANCE)
                 .collect();
-            near.sort_by(|a, b| a.0.total_cmp(&b.0));
-            for (_, earlier) in near.into_iter().take(EDGES) {
-                if self.begun.get(&later).is_some_and(|begun| begun.len() >= EDGES || begun.contains(&earlier)) {
+            nearest.sort_by(|a, b| a.0.total_cmp(&b.0));
+            for (_, earlier) in nearest.into_iter().take(MAX_EDGES) {
+                if self.loop_edges.get(&later).is_some_and(|edges| edges.len() >= MAX_EDGES || edges.contains(&earlier)) {
                     continue;
                 }
-                let guess = stretch.guess(earlier, later);
-                let made = self.compare(stretch, matcher, (earlier, later), guess, SearchWindow::default());
-                let is_there = |made: &Match| guess.between(&made.motion).distance() <= 2.0 * SMALL;
-                if let Some(made) = made.filter(|made| made.agreement >= AGREEING && is_there(made)) {
-                    self.add(earlier, later, &made, found);
+                let guess = segment.guess(earlier, later);
+                let matched = self.compare(segment, matcher, (earlier, later), guess, SearchWindow::default());
+                let is_in_window = |matched: &Match| guess.between(&matched.motion).distance() <= 2.0 * SMALL_WINDOW;
+                if let Some(matched) = matched.filter(|matched| matched.agreement >= MIN_AGREEMENT && is_in_window(matched)) {
+                    self.add(earlier, later, &matched, found);
                 }
             }
         }
     }
 
-    /// Looks for the keyframes of a stretch, none of which has been recognised, in all visits that may have come by.
-    fn seek(&mut self, stretch: &Stretch, matcher: &mut EdgeMatcher, found: &mut Vec<Edge>) {
-        let mut places: Vec<Place> = stretch.visits().iter().filter_map(|visit| self.place(stretch, matcher, visit)).collect();
-        places.sort_by(|a, b| b.agreement.total_cmp(&a.agreement));
-        let Some(best) = places.first() else { return };
-        let middle = stretch.poses[stretch.middle()];
-        let is_rival = |other: &Place| {
-            other.agreement > best.agreement - RIVAL && !agree(&(other.correction * middle), &(best.correction * middle))
+    /// Searches for a segment without loop edges in all earlier visits whose windows reach it.
+    fn search_large_windows(&mut self, segment: &Segment, matcher: &mut EdgeMatcher, found: &mut Vec<Edge>) {
+        let mut hypotheses: Vec<Hypothesis> =
+            segment.visits().iter().filter_map(|visit| self.hypothesis(segment, matcher, visit)).collect();
+        hypotheses.sort_by(|a, b| b.agreement.total_cmp(&a.agreement));
+        let Some(best) = hypotheses.first() else { return };
+        let middle = segment.poses[segment.middle()];
+        let is_competing = |other: &Hypothesis| {
+            other.agreement > best.agreement - AMBIGUITY_MARGIN
+                && !is_consistent(&(other.correction * middle), &(best.correction * middle))
         };
-        if best.is_sure() && !places[1..].iter().any(is_rival) {
-            for &(earlier, later, made) in &best.matches {
-                self.add(earlier, later, &made, found);
+        if best.is_reliable() && !hypotheses[1..].iter().any(is_competing) {
+            for &(earlier, later, matched) in &best.matches {
+                self.add(earlier, later, &matched, found);
             }
         }
     }
 
-    /// Where a stretch belongs by one visit: the correction that its keyframes agree on; `None` where they do not.
-    fn place(&mut self, stretch: &Stretch, matcher: &mut EdgeMatcher, visit: &[(usize, Window)]) -> Option<Place> {
-        let mut place: Option<Place> = None;
-        for later in stretch.later.clone() {
-            let before = visit.iter().filter(|(earlier, _)| earlier + APART < later);
-            let difference = |earlier: usize| stretch.difference(earlier, later);
+    /// The correction that the keyframes of a segment agree on when matched against one visit; `None` if they disagree.
+    fn hypothesis(&mut self, segment: &Segment, matcher: &mut EdgeMatcher, visit: &[(usize, Window)]) -> Option<Hypothesis> {
+        let mut hypothesis: Option<Hypothesis> = None;
+        for later in segment.later.clone() {
+            let before = visit.iter().filter(|(earlier, _)| earlier + MIN_INDEX_DIFFERENCE < later);
+            let difference = |earlier: usize| segment.view_difference(earlier, later);
             let &(earlier, Window { distance, angle }) = before.min_by(|a, b| difference(a.0).total_cmp(&difference(b.0)))?;
             let window = SearchWindow {
-                distance: distance.max(SMALL),
-                angle: angle.clamp(SMALL_TURN, MOST_TURN),
-                doubtful_agreement: f64::INFINITY,
+                distance: distance.max(SMALL_WINDOW),
+                angle: angle.clamp(SMALL_WINDOW_ANGLE, MAX_WINDOW_ANGLE),
+                min_agreement: f64::INFINITY,
             };
-            let place_so_far = place.as_ref().filter(|_| later + 1 < stretch.later.end);
-            let (guess, window) = match place_so_far {
-                // The first and the last look everywhere; those between need only confirm.
-                Some(place) => {
-                    let placed = place.correction * stretch.poses[later];
-                    (stretch.poses[earlier].between(&placed), SearchWindow::default())
+            let hypothesis_so_far = hypothesis.as_ref().filter(|_| later + 1 < segment.later.end);
+            let (guess, window) = match hypothesis_so_far {
+                // The first and the last keyframe search the whole window; those between only have to confirm.
+                Some(hypothesis) => {
+                    let corrected = hypothesis.correction * segment.poses[later];
+                    (segment.poses[earlier].between(&corrected), SearchWindow::default())
                 }
-                None => (stretch.guess(earlier, later), window),
+                None => (segment.guess(earlier, later), window),
             };
-            let made = self.compare(stretch, matcher, (earlier, later), guess, window)?;
-            if made.agreement < AGREEING || made.condition_number > GREATEST_CONDITION {
+            let matched = self.compare(segment, matcher, (earlier, later), guess, window)?;
+            if matched.agreement < MIN_AGREEMENT || matched.condition_number > MAX_CONDITION_NUMBER {
                 break;
             }
-            let correction = stretch.poses[earlier] * made.motion * stretch.poses[later].inverse();
-            let place = place.get_or_insert_with(|| Place { correction, agreement: 1.0, matches: Vec::new() });
-            if !agree(&(place.correction * stretch.poses[later]), &(correction * stretch.poses[later])) {
+            let correction = segment.poses[earlier] * matched.motion * segment.poses[later].inverse();
+            let hypothesis = hypothesis.get_or_insert_with(|| Hypothesis { correction, agreement: 1.0, matches: Vec::new() });
+            if !is_consistent(&(hypothesis.correction * segment.poses[later]), &(correction * segment.poses[later])) {
                 return None;
             }
-            place.agreement = place.agreement.min(made.agreement);
-            place.matches.push((earlier, later, made));
+            hypothesis.agreement = hypothesis.agreement.min(matched.agreement);
+            hypothesis.matches.push((earlier, later, matched));
         }
-        place.filter(|place| place.matches.len() >= IN_A_ROW)
+        hypothesis.filter(|hypothesis| hypothesis.matches.len() >= MIN_MATCHES)
     }
 
-    fn add(&mut self, from: usize, to: usize, made: &Match, found: &mut Vec<Edge>) {
-        self.begun.entry(to).or_default().push(from);
-        found.push(Edge { from, to, motion: made.motion, covariance: made.covariance, kind: EdgeKind::Loop });
+    fn add(&mut self, from: usize, to: usize, matched: &Match, found: &mut Vec<Edge>) {
+        self.loop_edges.entry(to).or_default().push(from);
+        found.push(Edge { from, to, motion: matched.motion, covariance: matched.covariance, kind: EdgeKind::Loop });
     }
 
-    /// What a match of two keyframes says that see the same; it is made anew only where the guess is another one than before.
+    /// Matches two keyframes; `None` if they overlap too little. Reuses the last result while the initial guess has hardly changed.
     fn compare(
         &mut self,
-        stretch: &Stretch,
+        segment: &Segment,
         matcher: &mut EdgeMatcher,
         (earlier, later): (usize, usize),
         guess: Pose2,
         window: SearchWindow,
     ) -> Option<Match> {
-        if let Some((tried, made)) = self.tried.get(&(later, earlier)) {
-            let moved = tried.between(&guess);
-            if moved.distance() < NEWS && moved.theta.abs() < NEWS {
-                return *made;
+        if let Some((last_guess, matched)) = self.attempts.get(&(later, earlier)) {
+            let moved = last_guess.between(&guess);
+            if moved.distance() < RETRY_CHANGE && moved.theta.abs() < RETRY_CHANGE {
+                return *matched;
             }
         }
-        let [of_earlier, of_later] = [earlier, later].map(|k| stretch.keyframes[k].view.as_ref());
-        let made = matcher.compare(of_earlier?, of_later?, FirstGuess { window, ..guess.into() });
-        let made = made.filter(|made| made.overlap >= OVERLAP);
-        self.tried.insert((later, earlier), (guess, made));
-        made
+        let [of_earlier, of_later] = [earlier, later].map(|k| segment.keyframes[k].view.as_ref());
+        let matched = matcher.compare(of_earlier?, of_later?, FirstGuess { window, ..guess.into() });
+        let matched = matched.filter(|matched| matched.overlap >= MIN_OVERLAP);
+        self.attempts.insert((later, earlier), (guess, matched));
+        matched
     }
 }
 
-/// Whether two corrections take a keyframe to the same place.
-fn agree(a: &Pose2, b: &Pose2) -> bool {
-    let apart = a.between(b);
-    apart.distance() < CONSISTENT && apart.theta.abs() < CONSISTENT_TURN
+/// Whether two corrected poses of a keyframe are consistent.
+fn is_consistent(a: &Pose2, b: &Pose2) -> bool {
+    let difference = a.between(b);
+    difference.distance() < CONSISTENT_DISTANCE && difference.theta.abs() < CONSISTENT_ANGLE
 }
 
-/// Where a stretch may belong.
-struct Place {
-    /// Takes its keyframes there.
+/// A hypothesis for the pose of a segment.
+struct Hypothesis {
+    /// Transforms the segment's current poses to the hypothesis.
     correction: Pose2,
-    /// Least part of the rays that agree.
+    /// Fraction of agreeing rays, the minimum over the matches.
     agreement: f64,
-    /// Earlier and later keyframe, and what their match says.
+    /// Earlier keyframe, later keyframe, and their match.
     matches: Vec<(usize, usize, Match)>,
 }
 
-impl Place {
-    fn is_sure(&self) -> bool {
-        self.agreement >= SURE
+impl Hypothesis {
+    fn is_reliable(&self) -> bool {
+        self.agreement >= MIN_AGREEMENT_IN_LARGE_WINDOWS
     }
 }
 
-/// A stretch of the path.
-struct Stretch<'a> {
+/// A segment of the path.
+struct Segment<'a> {
     keyframes: &'a [Keyframe],
     poses: &'a [Pose2],
-    /// Its keyframes.
+    /// Its keyframes, by index.
     later: Range<usize>,
-    /// Earlier keyframes of other visits that may be near, and how well that is known.
-    near: Vec<(usize, Window)>,
-    /// Greatest window, m.
+    /// Loop closure candidates: keyframes of earlier visits that may be near, with their search windows.
+    candidates: Vec<(usize, Window)>,
+    /// Maximum half-width of the search windows, m.
     limit: f64,
 }
 
-impl Stretch<'_> {
+impl Segment<'_> {
     fn middle(&self) -> usize {
         usize::midpoint(self.later.start, self.later.end)
     }
@@ -276,96 +281,96 @@ impl Stretch<'_> {
         self.poses[earlier].between(&self.poses[later])
     }
 
-    /// How different what is seen is: turns count as metres do.
-    fn difference(&self, earlier: usize, later: usize) -> f64 {
+    /// Difference of two viewpoints: distance plus rotation, with 1 rad counting as 1 m.
+    fn view_difference(&self, earlier: usize, later: usize) -> f64 {
         let motion = self.guess(earlier, later);
         motion.distance() + motion.theta.abs()
     }
 
-    /// Finds the keyframes that may be near: first those that are within the limit, then of these the ones whose windows reach here.
-    fn find_near(&mut self, ways: &Ways) {
-        let place = self.poses[self.middle()].translation();
-        let away = |earlier: usize| (self.poses[earlier].translation() - place).norm() - REACH - STRETCH;
-        let is_candidate = |&earlier: &usize| self.keyframes[earlier].view.is_some() && away(earlier) < self.limit;
-        let reached: Vec<usize> = (0..self.later.end.saturating_sub(APART)).filter(is_candidate).collect();
-        if reached.is_empty() {
+    /// Finds the loop closure candidates: first all keyframes within the limit, then those of them whose windows reach this segment.
+    fn find_candidates(&mut self, uncertainty: &RelativeUncertainty) {
+        let position = self.poses[self.middle()].translation();
+        let gap = |earlier: usize| (self.poses[earlier].translation() - position).norm() - MAX_DISTANCE - SEGMENT_LENGTH;
+        let is_candidate = |&earlier: &usize| self.keyframes[earlier].view.is_some() && gap(earlier) < self.limit;
+        let within_limit: Vec<usize> = (0..self.later.end.saturating_sub(MIN_INDEX_DIFFERENCE)).filter(is_candidate).collect();
+        if within_limit.is_empty() {
             return;
         }
-        let known = ways.from(self.middle(), self.limit);
+        let known = uncertainty.from(self.middle(), self.limit);
         let window = |earlier: usize| Some((earlier, Window::of(known[earlier].as_ref()?)));
-        let near = reached.into_iter().filter_map(window);
-        self.near = near.filter(|&(earlier, w)| w.distance <= self.limit && away(earlier) < w.distance).collect();
+        let candidates = within_limit.into_iter().filter_map(window);
+        self.candidates = candidates.filter(|&(earlier, w)| w.distance <= self.limit && gap(earlier) < w.distance).collect();
     }
 
-    /// The near keyframes whose windows are not small, visit by visit.
+    /// The candidates grouped by visit, without visits whose windows are all small.
     fn visits(&self) -> Vec<&[(usize, Window)]> {
-        let way = |near: &(usize, Window)| self.keyframes[near.0].way;
-        let visits = self.near.chunk_by(|a, b| way(b) - way(a) < VISIT);
+        let path_length = |candidate: &(usize, Window)| self.keyframes[candidate.0].path_length;
+        let visits = self.candidates.chunk_by(|a, b| path_length(b) - path_length(a) < MIN_VISIT_GAP);
         visits.filter(|visit| visit.iter().any(|(_, window)| !window.is_small())).collect()
     }
 }
 
-/// The graph's edges by the keyframes they are of, to find the best ways.
-pub(super) struct Ways<'a> {
+/// Relative pose covariances of keyframes, along the best paths in the graph.
+pub(super) struct RelativeUncertainty<'a> {
     poses: &'a [Pose2],
-    /// By keyframe: the next one, and the covariance of the motion there, along the axes of the map.
-    steps: Vec<Vec<(usize, PoseCovariance)>>,
+    /// By keyframe: its neighbours in the graph, and the covariances of the motions to them, along the axes of the map.
+    neighbours: Vec<Vec<(usize, PoseCovariance)>>,
 }
 
-/// A keyframe to go on from: the one known best first.
+/// Entry of the priority queue of Dijkstra's algorithm; the smallest variance comes first.
 #[derive(PartialEq)]
-struct Reached {
+struct QueueEntry {
     variance: f64,
     keyframe: usize,
 }
 
-impl Eq for Reached {}
+impl Eq for QueueEntry {}
 
-impl Ord for Reached {
+impl Ord for QueueEntry {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
         other.variance.total_cmp(&self.variance).then(other.keyframe.cmp(&self.keyframe))
     }
 }
 
-impl PartialOrd for Reached {
+impl PartialOrd for QueueEntry {
     fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
         Some(self.cmp(other))
     }
 }
 
-impl<'a> Ways<'a> {
+impl<'a> RelativeUncertainty<'a> {
     pub(super) fn new(graph: &'a PoseGraph) -> Self {
         let poses = graph.poses();
-        let mut steps = vec![Vec::new(); poses.len()];
-        for ((from, to), covariance) in joint(graph) {
+        let mut neighbours = vec![Vec::new(); poses.len()];
+        for ((from, to), covariance) in combined_covariances(graph) {
             let motion = poses[from].between(&poses[to]);
-            steps[from].push((to, turned(&covariance, poses[from].theta)));
-            steps[to].push((from, turned(&reversed(&motion, &covariance), poses[to].theta)));
+            neighbours[from].push((to, rotated(&covariance, poses[from].theta)));
+            neighbours[to].push((from, rotated(&inverse_covariance(&motion, &covariance), poses[to].theta)));
         }
-        Self { poses, steps }
+        Self { poses, neighbours }
     }
 
-    /// Covariance of every keyframe's place as seen from one, along the axes of the map, by the best way to it; `None` where none leads, or
-    /// none with a window of `limit` metres at most.
+    /// Covariance of every keyframe's pose relative to `source`, along the axes of the map, by the best path to it. `None` if there is
+    /// no path, or none with a window of at most `limit` metres.
     fn from(&self, source: usize, limit: f64) -> Vec<Option<PoseCovariance>> {
-        // In both directions, and the heading.
-        let turn = if limit <= SMALL { SMALL_TURN } else { MOST_TURN };
-        let most = (2.0 * limit.powi(2) + (LEVER * turn).powi(2)) / SIGMAS.powi(2);
-        let mut known: Vec<Option<PoseCovariance>> = vec![None; self.steps.len()];
-        let mut least = vec![f64::INFINITY; self.steps.len()];
-        let mut queue = BinaryHeap::from([Reached { variance: 0.0, keyframe: source }]);
-        (known[source], least[source]) = (Some(PoseCovariance::zeros()), 0.0);
-        while let Some(Reached { keyframe, variance }) = queue.pop() {
-            if variance > most {
+        // Trace of the covariance at the limit: both coordinates, and the heading at the lever arm.
+        let angle = if limit <= SMALL_WINDOW { SMALL_WINDOW_ANGLE } else { MAX_WINDOW_ANGLE };
+        let max_variance = (2.0 * limit.powi(2) + (LEVER_ARM * angle).powi(2)) / WINDOW_SIGMAS.powi(2);
+        let mut known: Vec<Option<PoseCovariance>> = vec![None; self.neighbours.len()];
+        let mut min_variance = vec![f64::INFINITY; self.neighbours.len()];
+        let mut queue = BinaryHeap::from([QueueEntry { variance: 0.0, keyframe: source }]);
+        (known[source], min_variance[source]) = (Some(PoseCovariance::zeros()), 0.0);
+        while let Some(QueueEntry { keyframe, variance }) = queue.pop() {
+            if variance > max_variance {
                 break;
             }
-            let Some(here) = known[keyframe].filter(|_| variance <= least[keyframe]) else { continue };
-            for (next, step) in &self.steps[keyframe] {
-                let there = carried(&here, self.poses[*next].translation() - self.poses[keyframe].translation()) + step;
-                let variance = there.m11 + there.m22 + LEVER * LEVER * there.m33;
-                if variance < least[*next] {
-                    (least[*next], known[*next]) = (variance, Some(there));
-                    queue.push(Reached { variance, keyframe: *next });
+            let Some(here) = known[keyframe].filter(|_| variance <= min_variance[keyframe]) else { continue };
+            for (next, step) in &self.neighbours[keyframe] {
+                let there = propagated(&here, self.poses[*next].translation() - self.poses[keyframe].translation()) + step;
+                let variance = there.m11 + there.m22 + LEVER_ARM * LEVER_ARM * there.m33;
+                if variance < min_variance[*next] {
+                    (min_variance[*next], known[*next]) = (variance, Some(there));
+                    queue.push(QueueEntry { variance, keyframe: *next });
                 }
             }
         }
@@ -373,9 +378,9 @@ impl<'a> Ways<'a> {
     }
 }
 
-/// By pairs of keyframes: the covariance of the motion between them by all edges that they have in common, each by its weight: what others
-/// contradict says little. In a corridor a match knows the heading and odometry the way.
-fn joint(graph: &PoseGraph) -> BTreeMap<(usize, usize), PoseCovariance> {
+/// By pair of keyframes: covariance of the motion between them, from all edges of the pair together, each with its robust weight. In a
+/// corridor, for example, a match constrains the heading, and odometry the distance.
+fn combined_covariances(graph: &PoseGraph) -> BTreeMap<(usize, usize), PoseCovariance> {
     let mut known: BTreeMap<(usize, usize), PoseCovariance> = BTreeMap::new();
     for (number, edge) in graph.edges().iter().enumerate() {
         *known.entry((edge.from, edge.to)).or_default() += graph.weight(number) * graph.information(number);
@@ -383,17 +388,17 @@ fn joint(graph: &PoseGraph) -> BTreeMap<(usize, usize), PoseCovariance> {
     known.into_iter().filter_map(|(pair, information)| Some((pair, information.try_inverse()?))).collect()
 }
 
-/// Covariance of the way back, along the axes of the end of `motion`.
-fn reversed(motion: &Pose2, covariance: &PoseCovariance) -> PoseCovariance {
+/// Covariance of the inverse motion, along the axes at the end of `motion`.
+fn inverse_covariance(motion: &Pose2, covariance: &PoseCovariance) -> PoseCovariance {
     let (sin, cos) = motion.theta.sin_cos();
     let back = motion.inverse();
     #[rustfmt::skip]
-    let by_motion = PoseCovariance::new(
+    let jacobian = PoseCovariance::new(
         -cos, -sin, back.y,
         sin, -cos, -back.x,
         0.0, 0.0, -1.0,
     );
-    by_motion * covariance * by_motion.transpose()
+    jacobian * covariance * jacobian.transpose()
 }
 
 #[cfg(test)]
@@ -401,23 +406,23 @@ mod tests {
     use super::*;
     use crate::odometry::uncertainty::{compound, diagonal};
 
-    fn near(a: &PoseCovariance, b: &PoseCovariance) -> bool {
+    fn is_near(a: &PoseCovariance, b: &PoseCovariance) -> bool {
         (a - b).amax() < 1e-9
     }
 
     #[test]
-    fn uncertainty_goes_along_ways_as_it_does_through_poses() {
+    fn covariances_propagate_along_edges_as_through_poses() {
         let (a, b) = (Pose2::new(3.0, -2.0, 0.7), Pose2::new(1.5, 0.4, -0.3));
         let (of_a, of_b) =
-            (turned(&diagonal(0.1, 0.05), 0.3), PoseCovariance::new(0.04, 0.01, 0.0, 0.01, 0.02, 0.001, 0.0, 0.001, 0.003));
+            (rotated(&diagonal(0.1, 0.05), 0.3), PoseCovariance::new(0.04, 0.01, 0.0, 0.01, 0.02, 0.001, 0.0, 0.001, 0.003));
         let expected = compound(&a, &of_a, &b, &of_b);
-        let way = (a * b).translation() - a.translation();
-        assert!(near(&(carried(&of_a, way) + turned(&of_b, a.theta)), &expected));
-        assert!(near(&reversed(&b.inverse(), &reversed(&b, &of_b)), &of_b), "there and back");
+        let step = (a * b).translation() - a.translation();
+        assert!(is_near(&(propagated(&of_a, step) + rotated(&of_b, a.theta)), &expected));
+        assert!(is_near(&inverse_covariance(&b.inverse(), &inverse_covariance(&b, &of_b)), &of_b), "inverted twice");
     }
 
     #[test]
-    fn a_loop_makes_windows_small() {
+    fn a_loop_closure_shrinks_the_windows() {
         let mut graph = PoseGraph::default();
         let covariance = diagonal(0.02, 0.01);
         for i in 0..100 {
@@ -428,14 +433,14 @@ mod tests {
             graph.add_edge(Edge { from, to, motion, covariance, kind: EdgeKind::Sequence });
         };
         (1..100).for_each(|to| edge(to - 1, to));
-        let free = Window::of(&Ways::new(&graph).from(99, 1e3)[0].unwrap());
+        let free = Window::of(&RelativeUncertainty::new(&graph).from(99, 1e3)[0].unwrap());
         let motion = Pose2::new(99.0, 0.0, 0.0);
         graph.add_edge(Edge { from: 0, to: 99, motion, covariance, kind: EdgeKind::Loop });
-        let closed = Window::of(&Ways::new(&graph).from(99, 1e3)[0].unwrap());
+        let closed = Window::of(&RelativeUncertainty::new(&graph).from(99, 1e3)[0].unwrap());
         assert!(free.distance > 10.0 && free.angle > 0.25 && !free.is_small(), "{free:?}");
         assert!(closed.distance < 3.0 && closed.angle < 0.04, "{closed:?}");
         graph.add_pose(Pose2::IDENTITY);
-        assert!(Ways::new(&graph).from(99, 1e3)[100].is_none(), "no way leads there");
-        assert!(Ways::new(&graph).from(50, 0.3)[0].is_none(), "no good one does");
+        assert!(RelativeUncertainty::new(&graph).from(99, 1e3)[100].is_none(), "no path leads there");
+        assert!(RelativeUncertainty::new(&graph).from(50, 0.3)[0].is_none(), "the path exceeds the limit");
     }
 }

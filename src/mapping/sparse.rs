@@ -1,24 +1,23 @@
-//! Symmetric positive definite systems of 3 x 3 blocks of which most are zero: an order of elimination that keeps it so, the
-//! decomposition `L D L'`, and its solutions.
+//! Sparse symmetric positive definite systems of 3 x 3 blocks: fill-reducing ordering, decomposition `L D L'`, and solution.
 //!
-//! The order is that of minimum degree (Tinney and Walker 1967; George and Liu 1989, "The evolution of the minimum degree ordering
-//! algorithm"). The elimination graph that it goes through has the pattern of `L` as its by-product, so that both are found in one go.
+//! The elimination order is that of minimum degree (Tinney and Walker 1967; George and Liu 1989, "The evolution of the minimum degree
+//! ordering algorithm"). The elimination graph also yields the sparsity pattern of `L`, so both are computed together.
 
 use std::collections::BTreeSet;
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Which blocks of a matrix and of its factor are not zero.
+/// Sparsity pattern of a matrix and of its factor.
 #[derive(Clone, Debug, Default)]
 pub struct Pattern {
-    /// Place of each variable in the order of elimination.
-    places: Vec<usize>,
-    /// By place: the places of the blocks of `L` below the diagonal, in ascending order.
+    /// Position of each variable in the elimination order.
+    positions: Vec<usize>,
+    /// By position in the elimination order: rows of the nonzero blocks of `L` below the diagonal, ascending.
     columns: Vec<Vec<usize>>,
 }
 
 impl Pattern {
-    /// The pattern for `count` variables, of which `pairs` have a block in common.
+    /// The pattern for `count` variables; `pairs` lists the nonzero blocks off the diagonal.
     pub fn new(count: usize, pairs: impl IntoIterator<Item = (usize, usize)>) -> Self {
         let mut neighbours = vec![BTreeSet::new(); count];
         for (a, b) in pairs.into_iter().filter(|(a, b)| a != b) {
@@ -27,38 +26,38 @@ impl Pattern {
         }
         let mut neighbours: Vec<Vec<usize>> = neighbours.into_iter().map(|set| set.into_iter().collect()).collect();
         let mut by_degree: BTreeSet<(usize, usize)> = neighbours.iter().enumerate().map(|(v, n)| (n.len(), v)).collect();
-        let mut places = vec![0; count];
+        let mut positions = vec![0; count];
         let mut columns = Vec::with_capacity(count);
         while let Some((_, eliminated)) = by_degree.pop_first() {
-            places[eliminated] = columns.len();
+            positions[eliminated] = columns.len();
             let clique = std::mem::take(&mut neighbours[eliminated]);
             for &v in &clique {
                 by_degree.remove(&(neighbours[v].len(), v));
-                neighbours[v] = joined(&neighbours[v], &clique, v, eliminated);
+                neighbours[v] = union_without(&neighbours[v], &clique, v, eliminated);
                 by_degree.insert((neighbours[v].len(), v));
             }
             columns.push(clique);
         }
         for column in &mut columns {
             for v in column.iter_mut() {
-                *v = places[*v];
+                *v = positions[*v];
             }
             column.sort_unstable();
         }
-        Self { places, columns }
+        Self { positions, columns }
     }
 
     /// Number of variables.
     pub fn len(&self) -> usize {
-        self.places.len()
+        self.positions.len()
     }
 
     /// Whether there are no variables.
     pub fn is_empty(&self) -> bool {
-        self.places.is_empty()
+        self.positions.is_empty()
     }
 
-    /// Blocks of the factor below its diagonal.
+    /// Number of nonzero blocks of the factor below its diagonal.
     pub fn fill(&self) -> usize {
         self.columns.iter().map(Vec::len).sum()
     }
@@ -70,8 +69,8 @@ impl Pattern {
     }
 }
 
-/// The union of two ascending lists without `a` and `b`.
-fn joined(one: &[usize], other: &[usize], a: usize, b: usize) -> Vec<usize> {
+/// The union of two ascending lists, without `a` and `b`.
+fn union_without(one: &[usize], other: &[usize], a: usize, b: usize) -> Vec<usize> {
     let mut union = Vec::with_capacity(one.len() + other.len());
     let (mut i, mut j) = (0, 0);
     while i < one.len() || j < other.len() {
@@ -89,7 +88,7 @@ fn joined(one: &[usize], other: &[usize], a: usize, b: usize) -> Vec<usize> {
     union
 }
 
-/// A symmetric matrix; of each pair of blocks the one below the diagonal is kept.
+/// A symmetric matrix; only the blocks on and below the diagonal are stored.
 #[derive(Clone, Debug)]
 pub struct BlockMatrix<'a> {
     pattern: &'a Pattern,
@@ -98,10 +97,9 @@ pub struct BlockMatrix<'a> {
 }
 
 impl<'a> BlockMatrix<'a> {
-    /// Adds to the block of row `a` and column `b`, and its transpose to the one across the diagonal. Blocks that are not of the
-    /// pattern are let go.
+    /// Adds to the block of row `a` and column `b`, and the transpose to the opposite block. Blocks outside the pattern are ignored.
     pub fn add(&mut self, a: usize, b: usize, block: &Matrix3<f64>) {
-        let (row, column) = (self.pattern.places[a], self.pattern.places[b]);
+        let (row, column) = (self.pattern.positions[a], self.pattern.positions[b]);
         match row.cmp(&column) {
             std::cmp::Ordering::Equal => self.diagonal[row] += block,
             std::cmp::Ordering::Greater => self.add_below(row, column, block),
@@ -115,7 +113,7 @@ impl<'a> BlockMatrix<'a> {
         }
     }
 
-    /// Decomposes the matrix; `None` where it is not positive definite.
+    /// Decomposes the matrix; `None` if it is not positive definite.
     pub fn factorize(mut self) -> Option<Factor<'a>> {
         for j in 0..self.pattern.len() {
             let inverse = self.diagonal[j].cholesky()?.inverse();
@@ -128,35 +126,36 @@ impl<'a> BlockMatrix<'a> {
         Some(Factor { pattern: self.pattern, inverses: self.diagonal, below: self.below })
     }
 
-    /// What the elimination of column `j` takes from the columns of its pattern: each of those has all of its later rows.
+    /// Right-looking update: subtracts the products of column `j` from the columns of its rows, whose patterns contain all later rows
+    /// of column `j`.
     fn subtract_products(&mut self, j: usize, column: &[Matrix3<f64>], scaled: &[Matrix3<f64>]) {
         let rows = &self.pattern.columns[j];
         for (k, &target) in rows.iter().enumerate() {
             subtract_product(&mut self.diagonal[target], &scaled[k], &column[k]);
             let target_rows = &self.pattern.columns[target];
-            let mut place = 0;
+            let mut position = 0;
             for i in k + 1..rows.len() {
-                while target_rows[place] != rows[i] {
-                    place += 1;
+                while target_rows[position] != rows[i] {
+                    position += 1;
                 }
-                subtract_product(&mut self.below[target][place], &scaled[i], &column[k]);
+                subtract_product(&mut self.below[target][position], &scaled[i], &column[k]);
             }
         }
     }
 }
 
-/// Takes `a b'` from `from`: most of the work, so that it is written out.
+/// Subtracts `a b'` from `target`. Unrolled by hand, because most of the time is spent here.
 #[inline(always)]
-fn subtract_product(from: &mut Matrix3<f64>, a: &Matrix3<f64>, b: &Matrix3<f64>) {
+fn subtract_product(target: &mut Matrix3<f64>, a: &Matrix3<f64>, b: &Matrix3<f64>) {
     let (a, b) = (&a.data.0, &b.data.0);
-    for (j, column) in from.data.0.iter_mut().enumerate() {
+    for (j, column) in target.data.0.iter_mut().enumerate() {
         for (i, value) in column.iter_mut().enumerate() {
             *value -= a[0][i] * b[0][j] + a[1][i] * b[1][j] + a[2][i] * b[2][j];
         }
     }
 }
 
-/// `L D L'`, with the inverses of `D`'s blocks.
+/// The decomposition `L D L'`, with the inverses of the blocks of `D`.
 #[derive(Clone, Debug)]
 pub struct Factor<'a> {
     pattern: &'a Pattern,
@@ -165,11 +164,11 @@ pub struct Factor<'a> {
 }
 
 impl Factor<'_> {
-    /// The solution for a right side, both in the order of the variables.
-    pub fn solve(&self, right: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    /// Solves for a right-hand side; it and the solution are in the order of the variables.
+    pub fn solve(&self, rhs: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
         let mut x = vec![Vector3::zeros(); self.pattern.len()];
-        for (&place, value) in self.pattern.places.iter().zip(right) {
-            x[place] = *value;
+        for (&position, value) in self.pattern.positions.iter().zip(rhs) {
+            x[position] = *value;
         }
         for j in 0..x.len() {
             let value = x[j];
@@ -184,7 +183,7 @@ impl Factor<'_> {
             }
             x[j] = value;
         }
-        self.pattern.places.iter().map(|&place| x[place]).collect()
+        self.pattern.positions.iter().map(|&position| x[position]).collect()
     }
 }
 
@@ -196,7 +195,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_chain_has_no_fill_and_a_grid_less_than_by_rows() {
+    fn minimum_degree_avoids_fill_in_on_chains_and_limits_it_on_grids() {
         let chain = Pattern::new(100, (1..100).map(|i| (i - 1, i)));
         assert_eq!(chain.fill(), 99);
         let at = |x: usize, y: usize| 20 * y + x;
@@ -208,7 +207,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn solutions_are_those_of_the_dense_matrix(
+        fn solutions_match_the_dense_matrix(
             pairs in prop::collection::vec((0_usize..12, 0_usize..12), 0..40),
             numbers in prop::collection::vec(-1.0..1.0_f64, 40 * 9 + 36),
         ) {
@@ -229,10 +228,10 @@ mod tests {
                 add(a, b, &if a == b { block + block.transpose() } else { block });
             }
             (0..12).for_each(|a| add(a, a, &(Matrix3::identity() * 200.0)));
-            let right = &numbers[360..];
-            let blocks: Vec<_> = right.chunks_exact(3).map(Vector3::from_column_slice).collect();
+            let rhs = &numbers[360..];
+            let blocks: Vec<_> = rhs.chunks_exact(3).map(Vector3::from_column_slice).collect();
             let solution = matrix.factorize().unwrap().solve(&blocks);
-            let expected = dense.cholesky().unwrap().solve(&DVector::from_column_slice(right));
+            let expected = dense.cholesky().unwrap().solve(&DVector::from_column_slice(rhs));
             for (i, value) in solution.iter().flat_map(|block| block.iter().copied().collect::<Vec<_>>()).enumerate() {
                 prop_assert!((value - expected[i]).abs() < 1e-12, "{i}: {value} is not {}", expected[i]);
             }
@@ -240,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_positive_definite_has_no_factor() {
+    fn matrices_that_are_not_positive_definite_have_no_factor() {
         let pattern = Pattern::new(2, [(0, 1)]);
         let mut matrix = pattern.zeros();
         matrix.add(0, 0, &Matrix3::identity());

@@ -1,33 +1,33 @@
-//! The order in which rays take part: coarse to fine, every beginning of it spread over the whole field of view.
+//! The order in which rays are used, from coarse to fine: every prefix of it is spread over the whole field of view.
 //!
-//! Ray `i` has the bits of `i` read backwards as its place in the order (the van der Corput sequence): the first 2^k of them are
-//! evenly spaced, and a longer beginning contains every shorter one.
+//! The position of ray `i` in the order is `i` with its bits reversed (van der Corput sequence). The first 2^k rays are evenly
+//! spaced, and a longer prefix contains every shorter one.
 
-/// A beginning of the order.
+/// A prefix of the order.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RayOrder {
     shift: u32,
     limit: u64,
-    /// All rays in the order's beginning are multiples of this, a power of two.
+    /// All rays in the prefix are multiples of this, a power of two.
     stride: usize,
     total: usize,
 }
 
 impl RayOrder {
-    /// About the first `count` of `total` rays: exact for a power of two of them, and for all.
+    /// About the first `count` of `total` rays: exactly that many if `count` is a power of two or at least `total`.
     pub(super) fn first(count: usize, total: usize) -> Self {
-        let places = total.max(2).next_power_of_two();
-        let limit = if count >= total { places as u64 } else { (count as u64 * places as u64).div_ceil(total as u64) };
-        let stride = places / usize::try_from(limit.next_power_of_two()).unwrap_or(places).min(places);
-        Self { shift: u64::BITS - places.trailing_zeros(), limit, stride, total }
+        let slots = total.max(2).next_power_of_two();
+        let limit = if count >= total { slots as u64 } else { (count as u64 * slots as u64).div_ceil(total as u64) };
+        let stride = slots / usize::try_from(limit.next_power_of_two()).unwrap_or(slots).min(slots);
+        Self { shift: u64::BITS - slots.trailing_zeros(), limit, stride, total }
     }
 
-    /// Whether it is the whole order.
+    /// Whether the prefix is the whole order.
     pub(super) fn is_all(self) -> bool {
         self.stride == 1 && self.limit.is_power_of_two()
     }
 
-    /// The rays in it, ascending.
+    /// Indices of the rays in the prefix, ascending.
     #[inline]
     pub(super) fn rays(self) -> impl Iterator<Item = usize> {
         let is_even = self.limit.is_power_of_two();
@@ -45,7 +45,7 @@ mod tests {
     }
 
     #[test]
-    fn a_beginning_covers_the_whole_sweep_and_contains_the_shorter_ones() {
+    fn every_prefix_covers_the_whole_sweep_and_contains_the_shorter_ones() {
         for total in [10, 181, 361, 1024, 1081, 10_000] {
             let mut shorter: Vec<usize> = Vec::new();
             for count in [1, 4, 10, 64, 100, 512, 1000, total] {
@@ -53,7 +53,7 @@ mod tests {
                 assert!(shorter.iter().all(|i| longer.contains(i)), "{count} of {total}");
                 let expected = count.min(total);
                 assert!(longer.len().abs_diff(expected) <= 1 + expected / 8, "{} for {count} of {total}", longer.len());
-                // No hole is longer than that of half as many rays.
+                // No gap is longer than that of half as many rays.
                 let widest = longer.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap_or(total);
                 assert!(widest <= (4 * total).div_ceil(expected).max(1), "{widest} between {count} of {total}");
                 shorter = longer;

@@ -1,129 +1,133 @@
-//! Other starts than the first guess, for when the scans do not agree at what it led to.
+//! Multi-start search: tries other starts than the first guess if the scans do not agree well enough where tracking from it
+//! ended.
 //!
-//! All starts of the window are scored with few rays; the best few, none beside another, are refined. The one that most rays agree with is
-//! refined with all of them, and believed when clearly more agree than before.
+//! All starts in the window are scored with few rays. The best few, no two of them neighbours, are refined. The one that most
+//! rays agree with is refined with all rays, and accepted if clearly more rays agree than before.
 
-use super::pairing::{Agreement, Pairing};
+use super::data_association::{Agreement, DataAssociation};
 use super::{FirstGuess, SearchWindow, StopReason};
 use crate::geometry::Pose2;
 
-/// Distance between starts, m ...
-const STEP: f64 = 0.15;
-/// ... and angle, rad.
-const TURN_STEP: f64 = 0.0873;
-/// Starts that are scored in one go.
-const SCORED_AT_ONCE: usize = 64;
-/// Starts nearer to one another than so many steps lead to the same pose.
-const BESIDE: f64 = 1.1;
-/// Starts that are refined.
-const REFINED: usize = 8;
-/// Part of the rays that must agree more than before with a start, so that it is refined with all, ...
-const PROMISING: f64 = 0.03;
-/// ... and then, so that it is believed: for each standard deviation that it is away from the prior, once at least, ...
-const BELIEVED: f64 = 0.05;
-/// ... and so many times at most.
-const INCREDIBLE: f64 = 3.0;
+/// Distance between neighbouring starts in x and y, m.
+const TRANSLATION_STEP: f64 = 0.15;
+/// Angle between neighbouring starts, rad.
+const ROTATION_STEP: f64 = 0.0873;
+/// Number of starts scored per step of the search.
+const SCORES_PER_STEP: usize = 64;
+/// Starts that are less than this many grid steps apart lead to the same pose.
+const MIN_SEPARATION: f64 = 1.1;
+/// Maximum number of starts that are refined.
+const MAX_REFINED: usize = 8;
+/// A refined start is refined again with all rays if more rays agree than before, by this fraction of them.
+const REFINEMENT_MARGIN: f64 = 0.03;
+/// The result is accepted if more rays agree than before, by this fraction of them per standard deviation from the prior,
+/// counting at least one standard deviation.
+const ACCEPTANCE_MARGIN: f64 = 0.05;
+/// Maximum number of standard deviations counted for [`ACCEPTANCE_MARGIN`].
+const MAX_DEVIATION: f64 = 3.0;
 
-/// Where tracking from the first guess had come to.
+/// Result of tracking from the first guess.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Tracked {
+pub(super) struct TrackingResult {
     pub(super) pose: Pose2,
-    /// Of the kernel.
-    pub(super) width: f64,
+    /// Variance of the robust kernel.
+    pub(super) kernel_variance: f64,
     pub(super) agreement: Agreement,
     pub(super) outcome: StopReason,
 }
 
-/// A search under way; keeps the memory that takes.
+/// A search in progress; keeps its buffers from search to search.
 #[derive(Debug, Default)]
-pub(super) struct Search {
+pub(super) struct MultiStartSearch {
     starts: Vec<Pose2>,
     scores: Vec<(u32, usize)>,
     is_scored: bool,
-    /// Those to be refined.
-    promising: Vec<Pose2>,
+    /// Starts that remain to be refined.
+    candidates: Vec<Pose2>,
     best: Option<(Pose2, Agreement)>,
 }
 
-impl Search {
+impl MultiStartSearch {
     pub(super) fn begin(&mut self, guess: &FirstGuess) {
         self.best = None;
         self.is_scored = false;
         self.scores.clear();
         self.starts.clear();
         let SearchWindow { distance, angle, .. } = guess.window;
-        for turn in offsets(angle, TURN_STEP) {
-            for forward in offsets(distance, STEP) {
-                self.starts.extend(offsets(distance, STEP).map(|left| guess.pose * Pose2::new(forward, left, turn)));
+        for rotation in offsets(angle, ROTATION_STEP) {
+            for forward in offsets(distance, TRANSLATION_STEP) {
+                self.starts
+                    .extend(offsets(distance, TRANSLATION_STEP).map(|left| guess.pose * Pose2::new(forward, left, rotation)));
             }
         }
     }
 
-    /// Scores some more starts; in the end, leaves those that promise most. Answers whether there was anything to do.
-    pub(super) fn score_some(&mut self, pairing: &dyn Pairing) -> bool {
+    /// Scores some more starts, and selects the best when all are scored. Returns whether there was anything left to score.
+    pub(super) fn score_some(&mut self, association: &dyn DataAssociation) -> bool {
         if self.is_scored {
             return false;
         }
         let done = self.scores.len();
-        let next = self.starts[done..].iter().take(SCORED_AT_ONCE).enumerate();
-        self.scores.extend(next.map(|(i, start)| (pairing.score(start), done + i)));
+        let next = self.starts[done..].iter().take(SCORES_PER_STEP).enumerate();
+        self.scores.extend(next.map(|(i, start)| (association.score(start), done + i)));
         if self.scores.len() == self.starts.len() {
             self.is_scored = true;
-            self.keep_best();
+            self.select_best();
         }
         true
     }
 
-    /// Of starts beside one another only the best one promises anything.
-    fn keep_best(&mut self) {
+    /// Selects the starts with the best scores. Of neighbouring starts only the best is kept.
+    fn select_best(&mut self) {
         self.scores.sort_unstable_by(|a, b| b.cmp(a));
-        self.promising.clear();
+        self.candidates.clear();
         for &(_, i) in &self.scores {
             let start = self.starts[i];
-            if !self.promising.iter().any(|better| is_beside(better, &start)) {
-                self.promising.push(start);
+            if !self.candidates.iter().any(|better| are_neighbours(better, &start)) {
+                self.candidates.push(start);
             }
-            if self.promising.len() == REFINED {
+            if self.candidates.len() == MAX_REFINED {
                 break;
             }
         }
     }
 
-    /// The next start to be refined.
+    /// Takes the next start to be refined.
     pub(super) fn next_start(&mut self) -> Option<Pose2> {
-        self.promising.pop()
+        self.candidates.pop()
     }
 
-    /// What the refinement of a start has come to.
+    /// Records the result of refining a start.
     pub(super) fn consider(&mut self, pose: Pose2, agreement: Agreement) {
         if self.best.is_none_or(|(_, best)| agreement.agreeing > best.agreeing) {
             self.best = Some((pose, agreement));
         }
     }
 
-    /// The pose found, if more of so many rays agree with it than did `before`.
-    pub(super) fn found(&self, before: Agreement, rays: usize) -> Option<Pose2> {
-        self.best.filter(|(_, agreement)| exceeds(*agreement, before, PROMISING, rays)).map(|(pose, _)| pose)
+    /// The best pose found, if enough more of the `rays` agree with it than `before`.
+    pub(super) fn best_pose(&self, before: Agreement, rays: usize) -> Option<Pose2> {
+        self.best.filter(|(_, agreement)| exceeds(*agreement, before, REFINEMENT_MARGIN, rays)).map(|(pose, _)| pose)
     }
 }
 
-/// Whether clearly more of so many rays agree. `deviation`: of the pose that they agree with from the prior, in standard deviations of that.
+/// Whether clearly more of the `rays` agree than `before`. `deviation`: Mahalanobis distance of the new pose from the prior, in
+/// standard deviations.
 pub(super) fn is_better(agreement: Agreement, before: Agreement, rays: usize, deviation: f64) -> bool {
-    exceeds(agreement, before, BELIEVED * deviation.clamp(1.0, INCREDIBLE), rays)
+    exceeds(agreement, before, ACCEPTANCE_MARGIN * deviation.clamp(1.0, MAX_DEVIATION), rays)
 }
 
 fn exceeds(agreement: Agreement, before: Agreement, margin: f64, rays: usize) -> bool {
     f64::from(agreement.agreeing) > f64::from(before.agreeing) + margin * rays as f64
 }
 
-fn is_beside(one: &Pose2, other: &Pose2) -> bool {
+fn are_neighbours(one: &Pose2, other: &Pose2) -> bool {
     let motion = one.between(other);
-    motion.distance() < BESIDE * STEP && motion.theta.abs() < BESIDE * TURN_STEP
+    motion.distance() < MIN_SEPARATION * TRANSLATION_STEP && motion.theta.abs() < MIN_SEPARATION * ROTATION_STEP
 }
 
-/// From `-limit` to `limit`, evenly, by `step` at most.
+/// Evenly spaced values from `-limit` to `limit`, at most `step` apart.
 fn offsets(limit: f64, step: f64) -> impl Iterator<Item = f64> {
-    #[allow(clippy::cast_possible_truncation)] // some dozens
+    #[allow(clippy::cast_possible_truncation)] // at most some dozens
     let steps = (limit / step).ceil() as i32;
     (-steps..=steps).map(move |i| if steps == 0 { 0.0 } else { limit * f64::from(i) / f64::from(steps) })
 }

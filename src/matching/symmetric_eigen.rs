@@ -1,4 +1,4 @@
-//! Symmetric 2x2 matrices by their axes, as exact as their entries are.
+//! Eigendecomposition of symmetric 2x2 matrices, accurate even for nearly singular ones.
 
 use nalgebra::Matrix2;
 
@@ -18,14 +18,16 @@ impl SymmetricEigen {
         let radius = half_difference.hypot(matrix.m12);
         let major = half_angle(half_difference, matrix.m12, radius);
         let larger = mean + radius;
-        // The smaller one from the determinant: mean - radius would be rounding for near-singular matrices.
+        // The smaller eigenvalue comes from the determinant: for nearly singular matrices, mean - radius would be rounding error
+        // only.
         let smaller = if larger == 0.0 { 0.0 } else { matrix.determinant() / larger };
         let smaller = if mean >= 0.0 { smaller } else { mean - radius };
         Self { values: Point::new(smaller, larger), minor: perpendicular(major), major }
     }
 }
 
-/// The unit vector in the direction of half the angle of (x, y), of length `length`: by the larger of its cosine and its sine.
+/// The unit vector at half the angle of the vector (x, y) of length `length`. The larger of its cosine and sine is computed
+/// first, which avoids cancellation.
 fn half_angle(x: f64, y: f64, length: f64) -> Point {
     let larger = (0.5 * (1.0 + x.abs() / length)).sqrt();
     let smaller = 0.5 * y.abs() / (length * larger);

@@ -1,10 +1,10 @@
-//! How refinements end.
+//! Tests of how refinements stop.
 
 use super::*;
 use crate::scan::BeamGeometry;
 use crate::time::Stamp;
 
-/// What a laser sees of one straight wall without an end, so far ahead, m.
+/// Scan of one endless straight wall at this distance ahead, m.
 fn wall(distance: f64) -> Scan {
     let beams = BeamGeometry::new(-0.8, 0.01, 161);
     let ranges: Vec<f64> = (0..beams.len()).map(|i| distance / beams.angle(i).cos()).collect();
@@ -12,23 +12,23 @@ fn wall(distance: f64) -> Scan {
 }
 
 fn classic() -> MatchingKnobs {
-    MatchingKnobs { correspondence: Correspondence::JumpTable, coarse_rays: 0, ..MatchingKnobs::default() }
+    MatchingKnobs { correspondence: CorrespondenceKind::JumpTable, coarse_rays: 0, ..MatchingKnobs::default() }
 }
 
 #[test]
 fn a_solver_that_finds_no_pose_ends_the_match_at_the_guess() {
     let mut matcher = Matcher::new(&classic(), &RejectionKnobs::default());
-    matcher.minimise = |_, _| None;
+    matcher.solver = |_, _| None;
     matcher.set_reference(&wall(2.0));
     let sensed = wall(1.9);
     let mut refinement = matcher.begin(&sensed, Pose2::IDENTITY);
     assert_eq!(refinement.refine(), Some(StopReason::Singular));
-    assert_eq!((refinement.pose(), refinement.refine()), (Pose2::IDENTITY, Some(StopReason::Singular)), "it stays ended");
+    assert_eq!((refinement.pose(), refinement.refine()), (Pose2::IDENTITY, Some(StopReason::Singular)), "it stays stopped");
 }
 
-/// A wall leaves a direction open: the pose moves across it, and stays where it was along it.
+/// A single wall does not constrain the motion along it: the pose moves across the wall and stays where it was along it.
 #[test]
-fn pairs_that_leave_a_direction_open_leave_the_pose_there() {
+fn the_pose_stays_at_the_guess_along_an_unconstrained_direction() {
     for knobs in [classic(), MatchingKnobs::default()] {
         let mut matcher = Matcher::new(&knobs, &RejectionKnobs::default());
         matcher.set_reference(&wall(2.0));

@@ -1,4 +1,4 @@
-//! What a laser saw from one place, ready to be matched to: at every beam, the surface that it met.
+//! A scan prepared as a reference for matching: the surface that each beam hit.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::f64::consts::TAU;
@@ -10,56 +10,57 @@ use super::surface::{LANES, Surface};
 use crate::geometry::{Point, Pose2};
 use crate::scan::Scan;
 
-/// A beam that has looked through something, and so many to either side, went so much farther, ...
-const BESIDE: usize = 2;
-/// ... as a part of the way there ...
-const BEYOND: f64 = 0.02;
-/// ... and m.
-const BEYOND_METRES: f64 = 0.2;
+/// A surface has been seen through only if the beam in its direction and this many beams to either side all range beyond it.
+const MARGIN_BEAMS: usize = 2;
+/// Such beams must range beyond the surface by this fraction of its distance, plus [`MIN_CLEARANCE`].
+const MIN_RELATIVE_CLEARANCE: f64 = 0.02;
+/// Distance by which such beams must range beyond the surface, m, in addition to [`MIN_RELATIVE_CLEARANCE`].
+const MIN_CLEARANCE: f64 = 0.2;
 
 /// A scan with the surfaces that were fitted to it.
 #[derive(Clone, Debug)]
 pub struct View {
     scan: Scan,
-    /// By beam, and one more at the end for all that is out of sight; empty where none were asked for.
+    /// One surface per beam, and [`Surface::NONE`] at the end for everything outside the field of view; empty if no surfaces are
+    /// needed.
     surfaces: Vec<Surface>,
-    /// Ranges where the beams of even spacing would be, m; empty where the scan's own are there.
-    sorted_ranges: Vec<f64>,
+    /// Ranges resampled to evenly spaced beams, m; empty if the beams of the scan are evenly spaced already.
+    resampled_ranges: Vec<f64>,
 }
 
 impl View {
-    /// A scan that no surfaces are needed of.
+    /// A view without surfaces, for matching to nearest points.
     pub(super) fn bare(scan: Scan) -> Self {
-        Self { scan, surfaces: Vec::new(), sorted_ranges: Vec::new() }
+        Self { scan, surfaces: Vec::new(), resampled_ranges: Vec::new() }
     }
 
-    /// A scan and the surface at each of its beams.
+    /// A view of a scan and the surface at each of its beams.
     pub(super) fn new(scan: Scan, mut surfaces: Vec<Surface>) -> Self {
         surfaces.push(Surface::NONE);
-        let mut view = Self { scan, surfaces, sorted_ranges: Vec::new() };
-        if !view.scan.beams().is_even() {
-            view.sort_by_bearing();
+        let mut view = Self { scan, surfaces, resampled_ranges: Vec::new() };
+        if !view.scan.beams().is_uniform() {
+            view.resample_evenly();
         }
         view
     }
 
-    /// Puts surfaces and ranges where the beams of even spacing would be.
-    fn sort_by_bearing(&mut self) {
+    /// Resamples surfaces and ranges to evenly spaced beams.
+    fn resample_evenly(&mut self) {
         let bearings = self.bearings();
         let mut surfaces = vec![Surface::NONE; self.surfaces.len()];
         let mut ranges = vec![f64::NAN; self.scan.len()];
         for ((direction, surface), range) in self.scan.beams().directions().iter().zip(&self.surfaces).zip(self.scan.ranges()) {
-            let place = bearings.beam(direction);
-            if place < self.scan.len() {
-                if surface.variance() < surfaces[place].variance() {
-                    surfaces[place] = *surface;
+            let beam = bearings.beam(direction);
+            if beam < self.scan.len() {
+                if surface.variance() < surfaces[beam].variance() {
+                    surfaces[beam] = *surface;
                 }
-                ranges[place] = range.min(ranges[place]);
+                ranges[beam] = range.min(ranges[beam]);
             }
         }
         fill_gaps(&mut surfaces, Surface::is_none);
         fill_gaps(&mut ranges, |range| range.is_nan());
-        (self.surfaces, self.sorted_ranges) = (surfaces, ranges);
+        (self.surfaces, self.resampled_ranges) = (surfaces, ranges);
     }
 
     /// The scan itself.
@@ -76,98 +77,101 @@ impl View {
         &self.surfaces
     }
 
-    /// Two views forget the surfaces that the other's laser has looked through: what stood there has moved. `a_from_b`: pose of the laser of
-    /// `b` in the frame of the laser of `a`.
-    pub fn forget_moved(a: &mut Arc<Self>, b: &mut Arc<Self>, a_from_b: &Pose2) {
+    /// Removes from each of two views the surfaces that the laser of the other view has seen through: these belong to objects
+    /// that have moved. `a_from_b`: pose of the laser of `b` in the frame of the laser of `a`.
+    pub fn remove_moved(a: &mut Arc<Self>, b: &mut Arc<Self>, a_from_b: &Pose2) {
         let of_a: Vec<usize> = a.seen_through(b, &a_from_b.inverse()).collect();
         let of_b: Vec<usize> = b.seen_through(a, a_from_b).collect();
-        for (view, places) in [(a, of_a), (b, of_b)] {
-            if !places.is_empty() {
+        for (view, beams) in [(a, of_a), (b, of_b)] {
+            if !beams.is_empty() {
                 let surfaces = &mut Arc::make_mut(view).surfaces;
-                for place in places {
-                    surfaces[place] = Surface::NONE;
+                for beam in beams {
+                    surfaces[beam] = Surface::NONE;
                 }
             }
         }
     }
 
-    /// The places of surfaces that another laser has looked through: what stood there has moved. `other_from_self`: pose of this view's
-    /// laser in the other's frame.
+    /// Beams of the surfaces that another laser has seen through: these belong to objects that have moved. `other_from_self`:
+    /// pose of the laser of this view in the frame of the other.
     fn seen_through<'a>(&'a self, other: &'a Self, other_from_self: &Pose2) -> impl Iterator<Item = usize> + 'a {
         let (bearings, transform) = (other.bearings(), other_from_self.transform());
-        let (own_ranges, ranges) = (self.ranges_by_bearing(), other.ranges_by_bearing());
-        (0..self.scan.len()).filter_map(move |place| {
-            if self.surfaces.get(place)?.is_none() {
+        let (own_ranges, ranges) = (self.even_ranges(), other.even_ranges());
+        (0..self.scan.len()).filter_map(move |own_beam| {
+            if self.surfaces.get(own_beam)?.is_none() {
                 return None;
             }
-            let (sin, cos) = self.scan.beams().angle(place).sin_cos();
-            let point = transform.apply(Point::new(cos, sin) * own_ranges[place]);
+            let (sin, cos) = self.scan.beams().angle(own_beam).sin_cos();
+            let point = transform.apply(Point::new(cos, sin) * own_ranges[own_beam]);
             let beam = bearings.beam(&point);
-            // Beams to either side too: past an edge, and along a wall, the next one goes much farther.
-            let around = ranges.get(beam.checked_sub(BESIDE)?..=beam + BESIDE)?;
-            let beyond = (1.0 + BEYOND) * point.norm() + BEYOND_METRES;
-            // No measurement says nothing.
-            around.iter().all(|&range| range > beyond).then_some(place)
+            // Check the neighbouring beams, too: past an edge or along a wall, the next beam may range much farther.
+            let neighbours = ranges.get(beam.checked_sub(MARGIN_BEAMS)?..=beam + MARGIN_BEAMS)?;
+            let min_range = (1.0 + MIN_RELATIVE_CLEARANCE) * point.norm() + MIN_CLEARANCE;
+            // A missing measurement is no evidence.
+            neighbours.iter().all(|&range| range > min_range).then_some(own_beam)
         })
     }
 
-    /// Ranges where the beams of even spacing would be, m; NaN where there is no measurement.
-    fn ranges_by_bearing(&self) -> &[f64] {
-        if self.scan.beams().is_even() { self.scan.ranges() } else { &self.sorted_ranges }
+    /// Ranges at evenly spaced beams, m; NaN without a measurement.
+    fn even_ranges(&self) -> &[f64] {
+        if self.scan.beams().is_uniform() { self.scan.ranges() } else { &self.resampled_ranges }
     }
 
-    /// Which beam looks which way.
-    #[allow(clippy::cast_possible_truncation)] // to single precision
+    /// The mapping from bearings to beams.
+    #[allow(clippy::cast_possible_truncation)] // conversion to single precision
     pub(super) fn bearings(&self) -> Bearings {
         let beams = self.scan.beams();
-        let per_radian = beams.angle_increment().recip();
+        let beams_per_radian = beams.angle_increment().recip();
         Bearings {
             angle_min: beams.angle(0) as f32,
-            per_radian: per_radian as f32,
-            turn: (TAU * per_radian.abs()) as f32,
-            per_turn: (TAU * per_radian.abs()).recip() as f32,
+            beams_per_radian: beams_per_radian as f32,
+            beams_per_turn: (TAU * beams_per_radian.abs()) as f32,
+            turns_per_beam: (TAU * beams_per_radian.abs()).recip() as f32,
             beams: self.scan.len() as f32,
         }
     }
 }
 
-/// Where beams are farther apart than even ones, one place now and then has none: it takes after the one before.
-fn fill_gaps<T: Copy>(places: &mut [T], is_none: impl Fn(&T) -> bool) {
-    for i in 1..places.len().saturating_sub(1) {
-        if is_none(&places[i]) && !is_none(&places[i + 1]) {
-            places[i] = places[i - 1];
+/// Fills single gaps with the entry before them: if beams are locally farther apart than evenly spaced ones, some resampled
+/// entries stay empty.
+fn fill_gaps<T: Copy>(entries: &mut [T], is_none: impl Fn(&T) -> bool) {
+    for i in 1..entries.len().saturating_sub(1) {
+        if is_none(&entries[i]) && !is_none(&entries[i + 1]) {
+            entries[i] = entries[i - 1];
         }
     }
 }
 
-/// Turns bearings into indices of beams.
+/// Maps bearings to beam indices.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bearings {
     angle_min: f32,
-    per_radian: f32,
-    turn: f32,
-    per_turn: f32,
+    beams_per_radian: f32,
+    beams_per_turn: f32,
+    turns_per_beam: f32,
     beams: f32,
 }
 
 impl Bearings {
-    /// The beams that look towards points, next to it at least; past the last one where none does.
+    /// The beams that point towards the given points, accurate to one beam; the number of beams if a point is outside the field
+    /// of view.
     #[inline(always)]
     pub(super) fn beams<S: Simd>(&self, x: f32x8<S>, y: f32x8<S>) -> [u32; LANES] {
-        let offset = (angle(x, y) - self.angle_min) * self.per_radian + 0.5;
-        let offset = offset - (offset * self.per_turn).floor() * self.turn;
+        let offset = (angle(x, y) - self.angle_min) * self.beams_per_radian + 0.5;
+        let offset = offset - (offset * self.turns_per_beam).floor() * self.beams_per_turn;
         offset.max(0.0).min(self.beams).to_int::<i32x8<S>>().bitcast::<u32x8<S>>().into()
     }
 
-    /// The beam that looks towards one point.
+    /// The beam that points towards a point; the number of beams if it is outside the field of view.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // at most the number of beams
     pub(super) fn beam(&self, point: &Point) -> usize {
-        let offset = (point.y.atan2(point.x) - f64::from(self.angle_min)) * f64::from(self.per_radian) + 0.5;
-        offset.rem_euclid(self.turn.into()).min(self.beams.into()) as usize
+        let offset = (point.y.atan2(point.x) - f64::from(self.angle_min)) * f64::from(self.beams_per_radian) + 0.5;
+        offset.rem_euclid(self.beams_per_turn.into()).min(self.beams.into()) as usize
     }
 }
 
-/// Angles of vectors, rad: Abramowitz and Stegun 4.4.47, to 1e-5, a fiftieth of what lies between 10 000 beams.
+/// Angles of vectors, rad, by the polynomial 4.4.47 of Abramowitz and Stegun. The error is below 1e-5, a fiftieth of the angle
+/// between 10 000 beams.
 #[inline(always)]
 fn angle<S: Simd>(x: f32x8<S>, y: f32x8<S>) -> f32x8<S> {
     const COEFFICIENTS: [f32; 5] = [0.020_835_1, -0.085_133, 0.180_141, -0.330_299_5, 0.999_866];
@@ -203,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn every_beam_finds_itself_whichever_way_the_laser_sweeps() {
+    fn every_beam_maps_to_itself_in_both_sweep_directions() {
         let geometries =
             [(-2.3, 0.0044, 1080), (2.3, -0.0044, 1080), (0.0, TAU / 360.0, 360), (1.3, -TAU / 180.0, 180), (-1.57, 0.0175, 180)];
         for (angle_min, increment, count) in geometries {
@@ -221,40 +225,41 @@ mod tests {
         View::clone(&Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default()).view(scan))
     }
 
-    /// A wall 4 m ahead, and someone before it at 2 m from -0.1 to 0 rad, if so; taken while the laser turned by `turn`, which has been
-    /// undone.
-    fn wall(is_someone_there: bool, turn: f64) -> View {
+    /// Scan of a wall 4 m ahead, with a person in front of it at 2 m from -0.1 to 0 rad if `is_someone_there`. The laser rotates
+    /// by `rotation` during the sweep, and the scan is deskewed.
+    fn wall(is_someone_there: bool, rotation: f64) -> View {
         let beams = BeamGeometry::new(-0.5, 0.01, 101);
         let range = |i: usize| {
-            let angle = beams.angle(i) + turn * i as f64 / 100.0;
+            let angle = beams.angle(i) + rotation * i as f64 / 100.0;
             if is_someone_there && (-0.101..-0.009).contains(&angle) { 2.0 } else { 4.0 / angle.cos() }
         };
         let ranges: Vec<f64> = (0..beams.len()).map(range).collect();
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), ranges).unwrap();
-        let scan = if turn == 0.0 { scan } else { scan.undistorted(&Twist2 { omega: turn, ..Twist2::default() }, 0.0, 1.0) };
+        let scan =
+            if rotation == 0.0 { scan } else { scan.undistorted(&Twist2 { omega: rotation, ..Twist2::default() }, 0.0, 1.0) };
         with_surfaces(scan)
     }
 
     #[test]
-    fn who_has_gone_is_forgotten() {
-        for (turn_before, turn_after) in [(0.0, 0.0), (0.0, 0.2), (0.2, 0.0)] {
-            let (before, after) = (wall(true, turn_before), wall(false, turn_after));
+    fn surfaces_of_a_person_who_has_left_are_removed() {
+        for (rotation_before, rotation_after) in [(0.0, 0.0), (0.0, 0.2), (0.2, 0.0)] {
+            let (before, after) = (wall(true, rotation_before), wall(false, rotation_after));
             let still = Pose2::IDENTITY;
             let gone: Vec<usize> = before.seen_through(&after, &still).collect();
-            assert!(gone.len() >= 7 && gone.iter().all(|place| (39..51).contains(place)), "{gone:?}");
-            let (mut forgetful, mut later) = (Arc::new(before), Arc::new(after.clone()));
-            View::forget_moved(&mut forgetful, &mut later, &still);
-            assert!(forgetful.surfaces()[45].is_none() && !forgetful.surfaces()[60].is_none());
+            assert!(gone.len() >= 7 && gone.iter().all(|beam| (39..51).contains(beam)), "{gone:?}");
+            let (mut cleaned, mut later) = (Arc::new(before), Arc::new(after.clone()));
+            View::remove_moved(&mut cleaned, &mut later, &still);
+            assert!(cleaned.surfaces()[45].is_none() && !cleaned.surfaces()[60].is_none());
             let kept = |view: &View| view.surfaces().iter().filter(|surface| !surface.is_none()).count();
             assert_eq!(kept(&later), kept(&after));
-            assert_eq!(after.seen_through(&wall(true, turn_before), &still).count(), 0, "who has come hides the wall");
+            assert_eq!(after.seen_through(&wall(true, rotation_before), &still).count(), 0, "a new person hides the wall");
             let moved = wall(false, 0.0);
-            assert_eq!(after.seen_through(&moved, &Pose2::new(0.3, 0.2, 0.01)).count(), 0, "nothing has moved but the laser");
+            assert_eq!(after.seen_through(&moved, &Pose2::new(0.3, 0.2, 0.01)).count(), 0, "only the laser has moved");
         }
     }
 
     #[test]
-    fn beams_without_a_measurement_look_through_nothing() {
+    fn missing_measurements_do_not_see_through_surfaces() {
         let before = wall(true, 0.0);
         let mut ranges = wall(false, 0.0).scan().ranges().to_vec();
         ranges.iter_mut().step_by(4).for_each(|range| *range = f64::NAN);
@@ -263,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn out_of_sight_is_the_last_surface() {
+    fn points_outside_the_field_of_view_have_no_surface() {
         let beams = BeamGeometry::new(-1.0, 0.01, 201);
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 100.0), vec![2.0; 201]).unwrap();
         let view = with_surfaces(scan);

@@ -1,45 +1,48 @@
-//! Message types: each is declared once, by name and fields. The rest follows from the text of its definition: the full definition that
-//! connections and bags carry, and the checksum by which ROS tells versions of a type apart.
+//! Message types: each is declared once, by name and fields. The text of its definition gives the rest: the full definition for
+//! connections and bags, and the MD5 sum by which ROS distinguishes versions of a type.
 
-/// What ROS knows of a message type besides its name.
+/// Full definition of a message type.
 #[derive(Debug)]
 pub struct Definition {
-    /// Name and text of the type and of every type it is made of, itself first.
-    pub parts: Vec<(&'static str, &'static str)>,
-    /// The parts as connections and bags carry them.
+    /// Name and text of the type itself, followed by those of every type that it contains.
+    pub types: Vec<(&'static str, &'static str)>,
+    /// The texts of all these types, concatenated as in connections and bags.
     pub text: String,
-    /// MD5 sum of the definition without comments, in which a part is named by its own sum.
+    /// MD5 sum of the definition without comments, with the type of each message field replaced by the MD5 sum of that type.
     pub md5: String,
 }
 
 impl Definition {
-    /// Of the type `name` (`package/Name`) with this text. Parts that are no types of this project are left out.
+    /// The definition of the type `name` (`package/Name`) with this text. Contained types that this project does not define are
+    /// omitted.
     pub fn new(name: &'static str, text: &'static str) -> Self {
-        let mut parts = Vec::new();
-        add_parts(name, text, &mut parts);
+        let mut types = Vec::new();
+        add_types(name, text, &mut types);
         let separator = "=".repeat(80);
-        let texts = parts.iter().map(|(part, text)| if *part == name { (*text).into() } else { format!("MSG: {part}\n{text}") });
+        let texts =
+            types.iter().map(|(other, text)| if *other == name { (*text).into() } else { format!("MSG: {other}\n{text}") });
         let text = texts.collect::<Vec<String>>().join(&format!("\n{separator}\n"));
-        Self { md5: md5(name, parts[0].1), text, parts }
+        Self { md5: md5(name, types[0].1), text, types }
     }
 }
 
-/// Adds a type and what it is made of, each once.
-fn add_parts(name: &'static str, text: &'static str, parts: &mut Vec<(&'static str, &'static str)>) {
-    if parts.iter().any(|(known, _)| *known == name) {
+/// Adds a type and all types that it contains, each once.
+fn add_types(name: &'static str, text: &'static str, types: &mut Vec<(&'static str, &'static str)>) {
+    if types.iter().any(|(known, _)| *known == name) {
         return;
     }
-    parts.push((name, text));
-    for (name, text) in lines(text).filter_map(|line| part(&line, name)) {
-        add_parts(name, text, parts);
+    types.push((name, text));
+    for (name, text) in lines(text).filter_map(|line| field_type(&line, name)) {
+        add_types(name, text, types);
     }
 }
 
-/// As `gendeps --md5` has it: constants first, without comments or spaces; in place of a part's type its sum.
+/// Computes the MD5 sum as `gendeps --md5` does: constants first, without comments or spaces; message types are replaced by their
+/// sums.
 fn md5(name: &str, text: &str) -> String {
     let constants = lines(text).filter(Line::is_constant).map(|line| format!("{} {}", line.kind, line.name));
-    let fields = lines(text).filter(|line| !line.is_constant()).map(|line| match part(&line, name) {
-        Some((part, text)) => format!("{} {}", md5(part, text), line.name),
+    let fields = lines(text).filter(|line| !line.is_constant()).map(|line| match field_type(&line, name) {
+        Some((kind, text)) => format!("{} {}", md5(kind, text), line.name),
         None => format!("{} {}", line.kind, line.name),
     });
     format!("{:x}", md5::compute(constants.chain(fields).collect::<Vec<_>>().join("\n")))
@@ -48,7 +51,7 @@ fn md5(name: &str, text: &str) -> String {
 /// A field or constant of a definition.
 struct Line<'a> {
     kind: &'a str,
-    /// Of a constant with its value: `NAME=1`.
+    /// Name; that of a constant includes its value: `NAME=1`.
     name: String,
 }
 
@@ -64,8 +67,8 @@ fn lines(text: &str) -> impl Iterator<Item = Line<'_>> {
     halves.map(|(kind, name)| Line { kind, name: name.split_whitespace().collect() })
 }
 
-/// Name and text of the type of a field of `owner`, if it is made of fields itself.
-fn part(line: &Line, owner: &str) -> Option<(&'static str, &'static str)> {
+/// Name and text of the type of a field of the message type `owner`, if it is a message type itself.
+fn field_type(line: &Line, owner: &str) -> Option<(&'static str, &'static str)> {
     let kind = line.kind.split('[').next().unwrap_or_default();
     let package = owner.split('/').next().unwrap_or_default();
     let name = match kind {
@@ -76,7 +79,8 @@ fn part(line: &Line, owner: &str) -> Option<(&'static str, &'static str)> {
     super::TYPES.iter().flat_map(|types| types.iter()).find(|(known, _)| *known == name).copied()
 }
 
-/// Declares message types of one package: their fields in the order of the definition, which is read from `definitions/`.
+/// Declares the message types of one package. Fields must be in the order of the definition, whose text is read from
+/// `definitions/`.
 macro_rules! messages {
     ($package:literal: $($name:ident { $($field:ident: $kind:ty),* $(,)? })*) => {
         $(
@@ -100,13 +104,13 @@ macro_rules! messages {
             }
         )*
 
-        /// Name and text of each type.
+        /// Name and definition of each type.
         pub(super) const TYPES: &[(&str, &str)] = &[$((
             concat!($package, "/", stringify!($name)),
             include_str!(concat!("../../definitions/", $package, "/msg/", stringify!($name), ".msg")),
         )),*];
 
-        /// Name and fields of each type as they are here, to be held against its text.
+        /// Name of each type and its fields as declared here, for comparison with its definition.
         #[cfg(test)]
         pub(super) const FIELDS: &[super::Fields] = &[$((
             concat!($package, "/", stringify!($name)),
@@ -145,19 +149,19 @@ mod tests {
     }
 
     #[test]
-    fn fields_are_those_of_the_definition() {
+    fn fields_match_the_definition() {
         for ((name, fields), (_, text)) in FIELDS.iter().copied().flatten().zip(TYPES.iter().copied().flatten()) {
-            let here = fields.iter().map(|(kind, field)| format!("{} {}", ros_type(kind), field.trim_end_matches('_')));
-            let there = lines(text).filter(|line| !line.is_constant()).map(|line| {
+            let declared = fields.iter().map(|(kind, field)| format!("{} {}", ros_type(kind), field.trim_end_matches('_')));
+            let defined = lines(text).filter(|line| !line.is_constant()).map(|line| {
                 let kind = line.kind.rsplit('/').next().unwrap();
                 format!("{} {}", if kind == "byte" { "int8" } else { kind }, line.name)
             });
-            assert_eq!(here.collect::<Vec<_>>(), there.collect::<Vec<_>>(), "{name}");
+            assert_eq!(declared.collect::<Vec<_>>(), defined.collect::<Vec<_>>(), "{name}");
         }
     }
 
     #[test]
-    fn checksums_are_those_of_ros() {
+    fn md5_sums_match_those_of_ros() {
         let sum =
             |name: &str| TYPES.iter().copied().flatten().find(|(known, _)| *known == name).map(|(name, text)| md5(name, text));
         for (name, expected) in [
@@ -175,11 +179,11 @@ mod tests {
     }
 
     #[test]
-    fn a_full_definition_has_each_part_once() {
+    fn a_full_definition_has_each_type_once() {
         let (name, text) = super::super::nav_msgs::TYPES[0];
         let definition = Definition::new(name, text);
-        let parts: Vec<&str> = definition.parts.iter().map(|(name, _)| *name).collect();
-        assert_eq!(parts[..3], ["nav_msgs/Odometry", "std_msgs/Header", "geometry_msgs/PoseWithCovariance"]);
-        assert_eq!((parts.len(), definition.text.matches("\nMSG: ").count()), (9, 8));
+        let types: Vec<&str> = definition.types.iter().map(|(name, _)| *name).collect();
+        assert_eq!(types[..3], ["nav_msgs/Odometry", "std_msgs/Header", "geometry_msgs/PoseWithCovariance"]);
+        assert_eq!((types.len(), definition.text.matches("\nMSG: ").count()), (9, 8));
     }
 }

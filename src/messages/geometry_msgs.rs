@@ -4,11 +4,11 @@ use super::definition::messages;
 use super::std_msgs::Header;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 
-/// Of x, y, z, roll, pitch and yaw, row by row.
+/// Covariance of x, y, z, roll, pitch and yaw, row by row.
 pub type Covariance = [[f64; 6]; 6];
 
-/// Places of x, y and yaw in a covariance.
-const PLANE: [usize; 3] = [0, 1, 5];
+/// Indices of x, y and yaw in a covariance.
+const PLANAR: [usize; 3] = [0, 1, 5];
 
 messages! { "geometry_msgs":
     Point { x: f64, y: f64, z: f64 }
@@ -29,19 +29,19 @@ messages! { "geometry_msgs":
 }
 
 impl Quaternion {
-    /// A turn about the vertical, rad.
+    /// A rotation about the z axis by `yaw`, rad.
     pub fn from_yaw(yaw: f64) -> Self {
         let (z, w) = (0.5 * yaw).sin_cos();
         Self { x: 0.0, y: 0.0, z, w }
     }
 
-    /// The turn about the vertical, rad; the same for any length of the quaternion.
+    /// The yaw angle, rad. It does not depend on the norm of the quaternion.
     pub fn yaw(&self) -> f64 {
         let Self { x, y, z, w } = self;
         (2.0 * (w * z + x * y)).atan2(w * w + x * x - y * y - z * z)
     }
 
-    /// 1 for a rotation.
+    /// The norm; 1 for a rotation.
     pub fn norm(&self) -> f64 {
         [self.x, self.y, self.z, self.w].iter().map(|v| v * v).sum::<f64>().sqrt()
     }
@@ -65,20 +65,20 @@ impl From<Twist2> for Twist {
     }
 }
 
-/// What a covariance says of x, y and yaw.
+/// The block of a covariance for x, y and yaw.
 pub fn planar_covariance(full: &Covariance) -> PoseCovariance {
-    PoseCovariance::from_fn(|row, column| full[PLANE[row]][PLANE[column]])
+    PoseCovariance::from_fn(|row, column| full[PLANAR[row]][PLANAR[column]])
 }
 
-/// A covariance of x, y and yaw, with this variance of height, roll and pitch, m^2 and rad^2.
+/// Extends a covariance of x, y and yaw to 6 dimensions; `unobserved` is the variance of z, roll and pitch, m^2 and rad^2.
 pub fn full_covariance(planar: &PoseCovariance, unobserved: f64) -> Covariance {
     let mut full = Covariance::default();
     for i in [2, 3, 4] {
         full[i][i] = unobserved;
     }
-    for (row, place) in PLANE.into_iter().enumerate() {
-        for (column, other) in PLANE.into_iter().enumerate() {
-            full[place][other] = planar[(row, column)];
+    for (row, full_row) in PLANAR.into_iter().enumerate() {
+        for (column, full_column) in PLANAR.into_iter().enumerate() {
+            full[full_row][full_column] = planar[(row, column)];
         }
     }
     full

@@ -1,6 +1,6 @@
-//! The ROS messages this project reads and writes, and their wire form.
+//! The ROS messages that this project reads and writes, and their serialization.
 //!
-//! One set of types serves bags and live connections alike, with or without the `ros` feature, so that both go through the same
+//! Bags and live connections use the same types, with or without the `ros` feature, so that both go through the same
 //! length-checked decoder. Field names are those of the message definitions.
 
 pub mod ackermann_msgs;
@@ -21,7 +21,7 @@ pub use definition::Definition;
 
 use crate::time::Stamp;
 
-/// Every message type, by package.
+/// Name and definition of every message type, by package.
 const TYPES: &[&[(&str, &str)]] = &[
     ackermann_msgs::TYPES,
     diagnostic_msgs::TYPES,
@@ -34,7 +34,7 @@ const TYPES: &[&[(&str, &str)]] = &[
     visualization_msgs::TYPES,
 ];
 
-/// Name of a type, and of each field type and name.
+/// Name of a type, and type and name of each of its fields.
 #[cfg(test)]
 type Fields = (&'static str, &'static [(&'static str, &'static str)]);
 
@@ -52,45 +52,45 @@ const FIELDS: &[&[Fields]] = &[
     visualization_msgs::FIELDS,
 ];
 
-/// A message type as bags and connections name it.
+/// A message type.
 pub trait Message: for<'a> Readable<'a, LittleEndian> + Writable<LittleEndian> {
-    /// `package/Name`.
+    /// Name of the type as in bags and connections: `package/Name`.
     const TYPE: &'static str;
 
-    /// Its definition, in full, and the checksum.
+    /// Full definition and MD5 sum of the type.
     fn definition() -> &'static Definition;
 }
 
-/// Bytes that are no message of the type they were said to be.
+/// Bytes are not a valid message of the expected type.
 #[derive(Clone, Debug, Error)]
-#[error("{len} bytes are not a {message_type}: {problem}")]
+#[error("{len} bytes are not a valid {message_type}: {problem}")]
 pub struct DecodeError {
     /// The type expected.
     pub message_type: &'static str,
     /// Number of bytes.
     pub len: usize,
-    /// What does not fit.
+    /// What is wrong.
     pub problem: String,
 }
 
-/// Reads a message from its wire form. Lengths are checked against the bytes there are before memory is taken for them.
+/// Deserializes a message. Lengths are checked against the available bytes before memory is allocated.
 pub fn decode<T: Message>(bytes: &[u8]) -> Result<T, DecodeError> {
     let error = |problem: String| DecodeError { message_type: T::TYPE, len: bytes.len(), problem };
     let (message, length) = T::read_with_length_from_buffer(bytes);
     let message = message.map_err(|e| error(e.to_string()))?;
     if length < bytes.len() {
-        return Err(error("there are bytes left over".into()));
+        return Err(error("there are extra bytes at the end".into()));
     }
     Ok(message)
 }
 
-/// The stamp of a message with a header, which it begins with, without reading the rest. `None`: there are too few bytes.
+/// Reads only the stamp of a message that begins with a header. `None` if there are too few bytes.
 pub fn header_stamp(bytes: &[u8]) -> Option<Stamp> {
     let word = |start: usize| bytes.get(start..)?.first_chunk().map(|bytes| u32::from_le_bytes(*bytes));
     Some(Time { sec: word(4)?, nsec: word(8)? }.into())
 }
 
-/// The wire form of a message.
+/// Serializes a message.
 pub fn encode<T: Message>(message: &T) -> Result<Vec<u8>, DecodeError> {
     message.write_to_vec().map_err(|e| DecodeError { message_type: T::TYPE, len: 0, problem: e.to_string() })
 }
@@ -124,7 +124,7 @@ pub struct Duration {
     pub nsec: i32,
 }
 
-/// A span that is too long is cut.
+/// Durations that are too long are clamped.
 impl From<std::time::Duration> for Duration {
     fn from(span: std::time::Duration) -> Self {
         Self { sec: i32::try_from(span.as_secs()).unwrap_or(i32::MAX), nsec: span.subsec_nanos().cast_signed() }
@@ -132,12 +132,12 @@ impl From<std::time::Duration> for Duration {
 }
 
 impl Duration {
-    /// The span in seconds.
+    /// The duration in seconds.
     pub fn seconds(self) -> f64 {
         f64::from(self.sec) + f64::from(self.nsec) * 1e-9
     }
 
-    /// The span as far as it is one: zero when it is negative.
+    /// The duration as a [`std::time::Duration`]; zero if it is negative.
     pub fn span(self) -> std::time::Duration {
         std::time::Duration::try_from_secs_f64(self.seconds()).unwrap_or_default()
     }

@@ -1,4 +1,4 @@
-//! `anytime_scan_matcher`: the messages this project defines.
+//! `anytime_scan_matcher`: the message types that this project defines.
 
 use super::Duration;
 use super::definition::messages;

@@ -11,8 +11,8 @@ messages! { "std_msgs":
 }
 
 impl Header {
-    /// The header of what is given in `frame`; `number`: of messages on the topic.
-    pub fn new(number: u32, stamp: Stamp, frame: &str) -> Self {
-        Self { seq: number, stamp: stamp.into(), frame_id: frame.into() }
+    /// A header with the sequence number `seq` and the frame `frame`.
+    pub fn new(seq: u32, stamp: Stamp, frame: &str) -> Self {
+        Self { seq, stamp: stamp.into(), frame_id: frame.into() }
     }
 }

@@ -1,48 +1,48 @@
-//! A clock that was set forward, told from a gap by the scans alone.
+//! Distinguishes a clock that was set forward from a gap in the data, by the scans alone.
 
 use super::LaserOdometry;
-use super::answer::Found;
-use super::attempt::{Attempt, Last, USUAL_VARIATION};
-use super::placement::Placement;
-use crate::anytime::Driver;
+use super::keyframe_pose::KeyframePose;
+use super::match_problem::{AGREEMENT_VARIATION, MatchProblem, PreviousEstimate};
+use super::pose_estimate::MatchResult;
+use crate::anytime::ContractRunner;
 use crate::matching::StopReason;
 use crate::scan::Scan;
 
-/// So many times as long as usual after the last one, a scan has come late, or the clock was set. Less than that a search bridges.
-const LATE_BY_PERIODS: f64 = 4.0;
+/// Minimum delay after which a clock step is considered, in typical scan periods. Shorter delays are bridged by the search.
+const MIN_LATE_PERIODS: f64 = 4.0;
 
 impl LaserOdometry {
-    /// A match where the robot has hardly moved, of a scan that comes later than usual, where that fits decidedly better than where the
-    /// velocity leads in that time: the clock was set forward, and the robot has driven on for no longer than from any scan to the next.
-    /// Odometry would know.
-    pub(super) fn match_where_the_clock_was_set(
+    /// Tests whether the clock was set forward before a late scan: matches it again as if only one typical period had passed.
+    /// Returns that match if it fits clearly better than the one at the time of the stamp. With odometry there is no need for it.
+    pub(super) fn match_after_clock_step(
         &mut self,
-        keyframe: &Placement,
+        keyframe: &KeyframePose,
         scan: &Scan,
-        attempt: &Attempt,
-        found: &Found,
-        driver: &mut Driver,
-    ) -> Option<(Attempt, Found)> {
-        let is_done = !matches!(found.report.stop_reason, StopReason::Budget | StopReason::Interrupted)
-            && found.answer.as_ref().err().is_none_or(|failure| failure.reason.is_no_fit());
-        let seconds = scan.stamp().seconds_since(attempt.last.stamp);
-        let came_late = self.usual_period > 0.0 && seconds > LATE_BY_PERIODS * self.usual_period;
-        if attempt.said.is_some() || !came_late || !is_done {
+        problem: &MatchProblem,
+        result: &MatchResult,
+        runner: &mut ContractRunner,
+    ) -> Option<(MatchProblem, MatchResult)> {
+        let is_done = !matches!(result.report.stop_reason, StopReason::Budget | StopReason::Interrupted)
+            && result.estimate.as_ref().err().is_none_or(|failure| failure.reason.is_no_fit());
+        let seconds = scan.stamp().seconds_since(problem.previous.stamp);
+        let came_late = self.typical_period > 0.0 && seconds > MIN_LATE_PERIODS * self.typical_period;
+        if problem.odometry.is_some() || !came_late || !is_done {
             return None;
         }
-        let last = Last { stamp: scan.stamp().offset_by(-self.usual_period), ..attempt.last };
-        let expected = last.motion.expect(self.usual_period).prediction();
-        let attempt = Attempt { last, expected, prediction: expected, said_turn: None, ..*attempt };
-        let first_guess = keyframe.map_from_laser.between(&attempt.predicted_laser());
-        let shown = (std::mem::take(&mut self.iterations), self.matched_points.take());
-        let fits = self.match_to(keyframe, scan, &attempt, first_guess, driver);
-        let is_better = found.answer.is_err() || fits.agreement > found.agreement.map(|agreement| agreement + USUAL_VARIATION);
-        if fits.answer.is_err() || !is_better {
-            (self.iterations, self.matched_points) = shown;
+        let previous = PreviousEstimate { stamp: scan.stamp().offset_by(-self.typical_period), ..problem.previous };
+        let constant_velocity = previous.motion.predict(self.typical_period).prediction();
+        let problem = MatchProblem { previous, constant_velocity, prediction: constant_velocity, imu_rotation: None, ..*problem };
+        let first_guess = keyframe.map_from_laser.between(&problem.predicted_laser());
+        let previous_result = (std::mem::take(&mut self.iterations), self.matched_points.take());
+        let refit = self.match_scan(keyframe, scan, &problem, first_guess, runner);
+        let is_better =
+            result.estimate.is_err() || refit.agreement > result.agreement.map(|agreement| agreement + AGREEMENT_VARIATION);
+        if refit.estimate.is_err() || !is_better {
+            (self.iterations, self.matched_points) = previous_result;
             return None;
         }
         self.counters.clock_steps += 1;
-        self.last = Some(last);
-        Some((attempt, fits))
+        self.previous = Some(previous);
+        Some((problem, refit))
     }
 }

@@ -1,59 +1,59 @@
-//! The heading by an inertial measurement unit (IMU).
+//! Heading from an inertial measurement unit (IMU).
 
 use crate::geometry::{Pose2, Twist2};
 use crate::time::Stamp;
 
 use super::wheel::{WheelOdometry, WheelSample};
 
-/// Over a longer time than this nobody knows what the rate was in between, s.
-const LONGEST_STEP: f64 = 0.5;
+/// Maximum time over which rates are integrated, s: over a longer gap the rate is unknown.
+const MAX_STEP: f64 = 0.5;
 
-/// One reading of an IMU, as far as it matters in the plane.
+/// The planar part of one IMU reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HeadingReading {
-    /// When it was measured.
+    /// Time of the measurement.
     pub stamp: Stamp,
-    /// The heading, rad, from any fixed direction; `None`: it measures rates only.
+    /// Heading relative to any fixed direction, rad; `None` if the IMU measures only rates.
     pub yaw: Option<f64>,
     /// Yaw rate, counter-clockwise seen from above, rad/s.
     pub rate: f64,
 }
 
-/// The last readings. Where they are rates only, these are summed up.
+/// The latest readings. If they are rates only, these are integrated.
 #[derive(Clone, Debug, Default)]
-pub struct Heading {
-    /// Poses that only turn.
-    turns: WheelOdometry,
+pub struct ImuHeading {
+    /// Poses with a heading only.
+    rotations: WheelOdometry,
     last: Option<(HeadingReading, f64)>,
 }
 
-impl Heading {
+impl ImuHeading {
     /// Adds a reading.
     pub fn push(&mut self, reading: HeadingReading) {
-        let yaw = reading.yaw.unwrap_or_else(|| self.summed_up(&reading));
+        let yaw = reading.yaw.unwrap_or_else(|| self.integrated(&reading));
         let twist = Twist2 { omega: reading.rate, ..Twist2::default() };
-        self.turns.push(WheelSample { stamp: reading.stamp, pose: Pose2::new(0.0, 0.0, yaw), twist: Some(twist) });
+        self.rotations.push(WheelSample { stamp: reading.stamp, pose: Pose2::new(0.0, 0.0, yaw), twist: Some(twist) });
         self.last = Some((reading, yaw));
     }
 
-    fn summed_up(&self, reading: &HeadingReading) -> f64 {
+    fn integrated(&self, reading: &HeadingReading) -> f64 {
         let Some((last, yaw)) = self.last else { return 0.0 };
         let seconds = reading.stamp.seconds_since(last.stamp);
-        let known = (0.0..=LONGEST_STEP).contains(&seconds);
+        let known = (0.0..=MAX_STEP).contains(&seconds);
         if known { yaw + 0.5 * (last.rate + reading.rate) * seconds } else { yaw }
     }
 
-    /// The turn from one time to another, rad, of less than half a turn; `None` where the readings do not cover it.
-    pub fn turn(&self, from: Stamp, to: Stamp) -> Option<f64> {
-        self.turns.motion(from, to).map(|motion| motion.theta)
+    /// The rotation from one time to another, rad, less than half a turn; `None` if the readings do not cover it.
+    pub fn rotation(&self, from: Stamp, to: Stamp) -> Option<f64> {
+        self.rotations.motion(from, to).map(|motion| motion.theta)
     }
 
-    /// Whether readings come, and the one for `stamp` has yet to.
+    /// Whether readings are arriving, but the one for `stamp` has not arrived yet.
     pub fn is_due(&self, stamp: Stamp) -> bool {
-        self.turns.is_due(stamp)
+        self.rotations.is_due(stamp)
     }
 
-    /// Forgets everything.
+    /// Forgets all readings.
     pub fn clear(&mut self) {
         *self = Self::default();
     }
@@ -63,12 +63,12 @@ impl Heading {
 mod tests {
     use super::*;
 
-    fn turn(heading: &Heading, from: f64, to: f64) -> Option<f64> {
-        heading.turn(Stamp::from_seconds(from), Stamp::from_seconds(to))
+    fn rotation(heading: &ImuHeading, from: f64, to: f64) -> Option<f64> {
+        heading.rotation(Stamp::from_seconds(from), Stamp::from_seconds(to))
     }
 
-    fn heading(readings: impl IntoIterator<Item = (f64, Option<f64>, f64)>) -> Heading {
-        let mut heading = Heading::default();
+    fn heading(readings: impl IntoIterator<Item = (f64, Option<f64>, f64)>) -> ImuHeading {
+        let mut heading = ImuHeading::default();
         for (seconds, yaw, rate) in readings {
             heading.push(HeadingReading { stamp: Stamp::from_seconds(seconds), yaw, rate });
         }
@@ -76,17 +76,17 @@ mod tests {
     }
 
     #[test]
-    fn headings_are_interpolated_across_the_half_turn() {
+    fn headings_are_interpolated_across_pi() {
         let heading = heading([(0.0, Some(3.0), 1.0), (0.1, Some(3.1), 1.0), (0.2, Some(-3.083), 1.0)]);
-        assert!((turn(&heading, 0.05, 0.2).unwrap() - 0.15).abs() < 1e-3);
-        assert!((turn(&heading, 0.1, 0.25).unwrap() - 0.15).abs() < 1e-3, "carried on by the rate");
-        assert_eq!(turn(&heading, 0.1, 2.0), None);
+        assert!((rotation(&heading, 0.05, 0.2).unwrap() - 0.15).abs() < 1e-3);
+        assert!((rotation(&heading, 0.1, 0.25).unwrap() - 0.15).abs() < 1e-3, "extrapolated by the rate");
+        assert_eq!(rotation(&heading, 0.1, 2.0), None);
     }
 
     #[test]
-    fn rates_alone_are_summed_up() {
+    fn rates_alone_are_integrated() {
         let heading = heading((0..=20).map(|i| (f64::from(i) * 0.01, None, f64::from(i) * 0.1)));
-        assert!((turn(&heading, 0.0, 0.2).unwrap() - 0.2).abs() < 1e-9);
-        assert!((turn(&heading, 0.1, 0.2).unwrap() - 0.15).abs() < 1e-9);
+        assert!((rotation(&heading, 0.0, 0.2).unwrap() - 0.2).abs() < 1e-9);
+        assert!((rotation(&heading, 0.1, 0.2).unwrap() - 0.15).abs() < 1e-9);
     }
 }

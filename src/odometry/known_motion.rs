@@ -1,57 +1,67 @@
-//! What is known of the motion to a scan beforehand, and what its match makes of each source of that knowledge.
+//! Predicts the motion to a scan, and learns from its match how accurate each source of the prediction is.
 
-use super::answer::Found;
-use super::attempt::{Attempt, Last};
+use super::match_problem::{MatchProblem, PreviousEstimate};
+use super::pose_estimate::MatchResult;
 use super::prediction::Prediction;
-use super::registration::Disbelieved;
+use super::registration::RejectedSources;
 use super::{LaserOdometry, source_noise, uncertainty};
 use crate::geometry::{Pose2, wrap_angle};
 use crate::time::Stamp;
 
 impl LaserOdometry {
-    /// What is known of the pose of a scan taken at `stamp`: the base has gone on as it did, and moved as the odometry says, each as far
-    /// as it has been right lately.
-    pub(super) fn attempt(&mut self, last: &Last, stamp: Stamp, base_from_laser: &Pose2) -> Attempt {
+    /// Predicts the pose of a scan taken at `stamp`. Fuses constant velocity with odometry, each weighted by how accurate it has
+    /// been lately.
+    pub(super) fn match_problem(&mut self, previous: &PreviousEstimate, stamp: Stamp, base_from_laser: &Pose2) -> MatchProblem {
         let awaits_odometry = self.awaits_odometry(stamp);
-        self.waited_in_vain = self.sources.is_behind(stamp);
-        let expected = last.motion.expect(stamp.seconds_since(last.stamp)).prediction();
-        let said = self.sources.motion_without_imu(last.stamp, stamp);
-        // Where stamps jitter, less time has passed by them than it took.
-        let seconds = stamp.seconds_since(last.stamp).max(self.usual_period);
-        let said = said.map(|motion| Prediction { motion, covariance: uncertainty::of_wheels(&motion, seconds) });
-        let said_turn = self.sources.turn_by_imu(last.stamp, stamp);
-        self.count_disbelieved(said.is_some());
-        // Where nothing else is known, a velocity that was wrong is no worse than before: a robot that was carried off drives on.
-        let fused = |said: Prediction| {
-            let (said, expected) = (said.with_noise(self.noise.odometry), expected.with_noise(self.noise.velocity));
-            let usually = last.motion.expect(seconds).prediction();
-            said.doubted_by(&expected, &usually).and(&expected)
+        self.odometry_wait_timed_out = self.sources.is_behind(stamp);
+        let constant_velocity = previous.motion.predict(stamp.seconds_since(previous.stamp)).prediction();
+        let odometry = self.sources.motion_without_imu(previous.stamp, stamp);
+        // If stamps jitter, the scan period may be longer than the stamps suggest.
+        let seconds = stamp.seconds_since(previous.stamp).max(self.typical_period);
+        let odometry = odometry.map(|motion| Prediction { motion, covariance: uncertainty::wheel_covariance(&motion, seconds) });
+        let imu_rotation = self.sources.imu_rotation(previous.stamp, stamp);
+        self.count_rejected(odometry.is_some());
+        // Without odometry there is nothing better than the velocity, even if it was wrong: a kidnapped robot drives on. So only
+        // the fused velocity gets the learned noise.
+        let fused = |odometry: Prediction| {
+            let (odometry, constant_velocity) =
+                (odometry.with_noise(self.noise.odometry), constant_velocity.with_noise(self.noise.velocity));
+            let typical = previous.motion.predict(seconds).prediction();
+            odometry.checked_against(&constant_velocity, &typical).fused_with(&constant_velocity)
         };
-        let known = said.map_or(expected, fused);
-        self.sources.believe_imu(!self.noise.imu.is_disbelieved());
-        let prediction = self.sources.with_heading(&known, last.stamp, stamp);
-        Attempt { last: *last, prediction, expected, said, said_turn, awaits_odometry, base_from_laser: *base_from_laser }
-    }
-
-    fn count_disbelieved(&mut self, has_odometry: bool) {
-        let Disbelieved { odometry, imu } = self.noise.disbelieved();
-        self.counters.without_odometry += u64::from(!has_odometry);
-        self.counters.odometry_disbelieved += u64::from(has_odometry && odometry);
-        self.counters.imu_disbelieved += u64::from(imu);
-    }
-
-    /// What a match that is done makes of what each source said; a scan that was not matched says nothing.
-    pub(super) fn judge_sources(&mut self, attempt: &Attempt, found: &Found, stamp: Stamp) {
-        let Ok(answer) = &found.answer else { return };
-        self.counters.odometry_contradicted += u64::from(answer.contradicts_odometry && !self.noise.odometry.is_disbelieved());
-        self.sources.learn_lag(stamp, self.map_from_odom.inverse() * answer.map_from_base);
-        let motion = attempt.last.map_from_base.between(&answer.map_from_base);
-        self.noise.velocity.judge(source_noise::deviation(&attempt.expected, &motion));
-        if let Some(said) = &attempt.said {
-            self.noise.odometry.judge(source_noise::deviation(said, &motion));
+        let prediction = odometry.map_or(constant_velocity, fused);
+        self.sources.set_imu_rejected(self.noise.imu.is_rejected());
+        let prediction = self.sources.with_imu_heading(&prediction, previous.stamp, stamp);
+        MatchProblem {
+            previous: *previous,
+            prediction,
+            constant_velocity,
+            odometry,
+            imu_rotation,
+            awaits_odometry,
+            base_from_laser: *base_from_laser,
         }
-        if let Some((turn, deviation)) = attempt.said_turn {
-            self.noise.imu.judge(wrap_angle(motion.theta - turn).abs() / deviation);
+    }
+
+    fn count_rejected(&mut self, has_odometry: bool) {
+        let RejectedSources { odometry, imu } = self.noise.rejected_sources();
+        self.counters.without_odometry += u64::from(!has_odometry);
+        self.counters.odometry_rejected += u64::from(has_odometry && odometry);
+        self.counters.imu_rejected += u64::from(imu);
+    }
+
+    /// Updates the noise of each source by a finished match; an unmatched scan has no effect.
+    pub(super) fn update_noise(&mut self, problem: &MatchProblem, result: &MatchResult, stamp: Stamp) {
+        let Ok(estimate) = &result.estimate else { return };
+        self.counters.odometry_contradicted += u64::from(estimate.contradicts_odometry && !self.noise.odometry.is_rejected());
+        self.sources.learn_lag(stamp, self.map_from_odom.inverse() * estimate.map_from_base);
+        let motion = problem.previous.map_from_base.between(&estimate.map_from_base);
+        self.noise.velocity.update(source_noise::normalized_innovation(&problem.constant_velocity, &motion));
+        if let Some(odometry) = &problem.odometry {
+            self.noise.odometry.update(source_noise::normalized_innovation(odometry, &motion));
+        }
+        if let Some((rotation, deviation)) = problem.imu_rotation {
+            self.noise.imu.update(wrap_angle(motion.theta - rotation).abs() / deviation);
         }
     }
 }

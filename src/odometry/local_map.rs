@@ -1,80 +1,83 @@
-//! Keyframes along the whole path: places that are seen again are recognised because they are still there.
+//! Keyframes along the whole path: a place is recognised because its keyframes are kept.
 //!
-//! What lies close together on the map need not have been seen from places close together: between two visits the path has drifted.
-//! So keyframes serve a scan together only where the way between them along the path is short, or where a place of the one visit has
-//! been recognised as one of the other ([`LocalMap::link`]).
+//! Places that are close on the map may be farther apart in reality, because the path has drifted between two visits. So
+//! keyframes are used together for a scan only if the path between them is short, or if a loop closure has linked the two visits
+//! ([`LocalMap::link`]).
 
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use super::placement::Placement;
+use super::keyframe_pose::KeyframePose;
+use super::scale_error::ScaleJacobian;
 use super::{drift, uncertainty};
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::{COARSE_VIEWS, PlacedView, View};
 use crate::scan::Scan;
 
-/// A turn by this much makes two views as different as a metre between them does, rad.
-const METRE_OF_TURN: f64 = 1.0;
+/// Rotation that makes two views as different as a metre between them, rad.
+const RADIANS_PER_METRE: f64 = 1.0;
 
-/// Keyframes farther than this from a pose (m, and turns as metres) see other things.
-const REACH: f64 = 6.0;
+/// Maximum distance of a keyframe from a pose, m, with rotations converted to metres: farther ones see other things.
+const MAX_VIEW_DISTANCE: f64 = 6.0;
 
-/// Of the keyframes that serve a scan so many are the nearest, which see most of what it sees.
-const NEAREST: usize = COARSE_VIEWS;
+/// Number of nearest keyframes used for a scan: they see most of what it sees.
+const NEAREST_VIEWS: usize = COARSE_VIEWS;
 
-/// Each further one is so much farther from the scan, m: it sees less of the same, but errs otherwise than the ones before, so that the
-/// errors from keyframe to keyframe add up less.
-const SPACING: f64 = 1.0;
+/// Minimum increase in distance for each further keyframe, m: it sees less of the scan, but its errors are more independent, so
+/// that errors from keyframe to keyframe add up less.
+const MIN_SPACING: f64 = 1.0;
 
-/// Over this way a path does not drift by much, m.
-const SHORT_WAY: f64 = 20.0;
+/// Maximum path length between keyframes that are used together, m: the path drifts little over it.
+const MAX_CONNECTED_LENGTH: f64 = 20.0;
 
-/// As far apart are keyframes along the path that the robot came between in a way that is not known, m, ...
-const LOST_WAY: f64 = 2.0 * SHORT_WAY;
-/// ... and such a step errs by this, m ...
-const LOST_ERROR: f64 = 1.0;
-/// ... and this, rad.
-const LOST_TURN: f64 = 0.3;
+/// Path length assigned to a step whose motion is unknown, m.
+const LOST_LENGTH: f64 = 2.0 * MAX_CONNECTED_LENGTH;
+/// Position error of a step whose motion is unknown, m.
+const LOST_POSITION_ERROR: f64 = 1.0;
+/// Heading error of a step whose motion is unknown, rad.
+const LOST_HEADING_ERROR: f64 = 0.3;
 
 /// A scan that others are matched to.
 #[derive(Clone, Debug)]
 struct Keyframe {
-    place: Placement,
+    pose: KeyframePose,
     view: Arc<View>,
-    /// Way along the path from the first keyframe to this one, m.
-    way: f64,
+    /// Path length from the first keyframe to this one, m.
+    path_length: f64,
 }
 
-/// Two places of the path, by the ways to them, that are one.
+/// A loop closure: two path lengths that belong to the same place.
 #[derive(Clone, Copy, Debug)]
 struct Link {
     later: f64,
     earlier: f64,
 }
 
-/// Earlier keyframes that have not been recognised yet.
+/// Loop closure candidate: earlier keyframes that have not been linked yet.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Unrecognised {
-    /// Pose of the laser at the first one.
+pub(super) struct LoopCandidate {
+    /// Pose of the laser at the first of them.
     pub(super) map_from_laser: Pose2,
     /// Covariance of that pose, in the map frame.
     pub(super) covariance: PoseCovariance,
-    way: f64,
+    /// How the scale error of the odometry moves it.
+    pub(super) by_scale: ScaleJacobian,
+    path_length: f64,
 }
 
-/// The keyframes so far.
+/// The keyframes of the path.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LocalMap {
     keyframes: VecDeque<Keyframe>,
     links: Vec<Link>,
-    /// Ways to the keyframes that scans are matched to.
+    /// Path lengths of the keyframes that scans are matched to.
     matched: Vec<f64>,
-    /// Stretches of the path that are connected with those, by the ways to their ends; kept for its memory.
-    known: Vec<RangeInclusive<f64>>,
-    /// To here along the path earlier keyframes have kept it from drifting, m.
-    held_until: f64,
-    /// How different the views near a pose are, and their indices; kept for its memory.
+    /// Path length ranges connected with those keyframes; kept to reuse the allocation.
+    connected: Vec<RangeInclusive<f64>>,
+    /// Path length up to which earlier keyframes kept the path from drifting, m.
+    anchored_until: f64,
+    /// View distance and index of the keyframes near a pose; kept to reuse the allocation.
     near: Vec<(f64, usize)>,
 }
 
@@ -84,160 +87,166 @@ impl LocalMap {
         *self = Self { near: std::mem::take(&mut self.near), ..Self::default() };
     }
 
-    /// Adds a keyframe. Of more than `most`, the oldest goes. `is_lost`: how the robot came here from the last one is not known, so that
-    /// none of those so far serve any more until they are recognised.
-    pub(super) fn add(&mut self, mut place: Placement, view: Arc<View>, is_lost: bool, most: usize) {
-        let way = self
+    /// Adds a keyframe and drops the oldest if there are more than `max_keyframes`. `is_lost`: the motion from the previous
+    /// keyframe is unknown, so that earlier keyframes are not used until a loop closure links them.
+    pub(super) fn add(&mut self, mut pose: KeyframePose, view: Arc<View>, is_lost: bool, max_keyframes: usize) {
+        let path_length = self
             .keyframes
             .back()
-            .map_or(0.0, |last| last.way + last.place.map_from_base().between(&place.map_from_base()).distance());
-        while self.keyframes.len() >= most.max(1) {
+            .map_or(0.0, |last| last.path_length + last.pose.map_from_base().between(&pose.map_from_base()).distance());
+        while self.keyframes.len() >= max_keyframes.max(1) {
             self.keyframes.pop_front();
         }
-        let way = if is_lost { way + LOST_WAY } else { way };
+        let path_length = if is_lost { path_length + LOST_LENGTH } else { path_length };
         if is_lost {
             self.matched.clear();
-            place.step_covariance += uncertainty::diagonal(LOST_ERROR, LOST_TURN);
+            pose.step_covariance += uncertainty::diagonal(LOST_POSITION_ERROR, LOST_HEADING_ERROR);
         }
-        self.keyframes.push_back(Keyframe { place, view, way });
-        let oldest = self.keyframes[0].way;
-        self.links.retain(|link| link.earlier + SHORT_WAY >= oldest);
+        self.keyframes.push_back(Keyframe { pose, view, path_length });
+        let oldest = self.keyframes[0].path_length;
+        self.links.retain(|link| link.earlier + MAX_CONNECTED_LENGTH >= oldest);
     }
 
-    /// Forgets what has moved since: where the last keyframe looked through surfaces of those that scans were matched to, and where they
-    /// had looked through its own.
-    pub(super) fn forget_moved(&mut self) {
+    /// Removes surfaces that have moved since: surfaces of the matched keyframes that the latest keyframe saw through, and vice
+    /// versa.
+    pub(super) fn remove_moved_surfaces(&mut self) {
         let Some(last) = self.keyframes.len().checked_sub(1) else { return };
         let (earlier, last) = self.keyframes.make_contiguous().split_at_mut(last);
-        for earlier in earlier.iter_mut().filter(|earlier| self.matched.contains(&earlier.way)) {
-            let motion = earlier.place.map_from_laser.between(&last[0].place.map_from_laser);
-            View::forget_moved(&mut earlier.view, &mut last[0].view, &motion);
+        for earlier in earlier.iter_mut().filter(|earlier| self.matched.contains(&earlier.path_length)) {
+            let motion = earlier.pose.map_from_laser.between(&last[0].pose.map_from_laser);
+            View::remove_moved(&mut earlier.view, &mut last[0].view, &motion);
         }
     }
 
-    /// The last keyframe: where it was taken, and what was seen there.
+    /// The latest keyframe: pose of its laser, and its view.
     pub(super) fn last(&self) -> Option<(Pose2, &Arc<View>)> {
-        self.keyframes.back().map(|keyframe| (keyframe.place.map_from_laser, &keyframe.view))
+        self.keyframes.back().map(|keyframe| (keyframe.pose.map_from_laser, &keyframe.view))
     }
 
-    /// `count` keyframes that saw some of what is seen from a pose, the nearest ones and some around, as views of the first one's laser;
-    /// where that was. Only those that are connected with the ones that scans were matched to before, and that look where `scan` does, if
-    /// it is known. The last keyframe is always near enough.
-    pub(super) fn views_around(
+    /// Selects up to `count` keyframes that overlap with what is seen from a pose, the nearest ones and some farther away, and
+    /// writes them to `views` in the frame of the first one, whose pose it returns. Only keyframes connected with those matched
+    /// before qualify, and only those that overlap with `scan`, if it is given. If none qualifies, the latest keyframe is used.
+    pub(super) fn select_views(
         &mut self,
         map_from_laser: &Pose2,
         scan: Option<&Scan>,
         count: usize,
         views: &mut Vec<PlacedView>,
-    ) -> Option<Placement> {
+    ) -> Option<KeyframePose> {
         let last = self.keyframes.len().checked_sub(1)?;
-        let now = self.way();
-        self.find_near(map_from_laser, |map, keyframe| {
+        let now = self.path_length();
+        self.collect_near(map_from_laser, |map, keyframe| {
             let is_seen =
-                scan.is_none_or(|scan| scan.shares_view_with(keyframe.view.scan(), keyframe.place.heading_from(map_from_laser)));
-            is_seen && (keyframe.way >= now || map.is_known(keyframe.way))
+                scan.is_none_or(|scan| scan.shares_view_with(keyframe.view.scan(), keyframe.pose.heading_from(map_from_laser)));
+            is_seen && (keyframe.path_length >= now || map.is_connected(keyframe.path_length))
         });
         if self.near.is_empty() {
-            self.near.push((REACH, last));
+            self.near.push((MAX_VIEW_DISTANCE, last));
         }
-        self.spread(count);
+        self.thin_out(count);
         self.matched.clear();
-        self.matched.extend(self.near.iter().map(|&(_, i)| self.keyframes[i].way));
+        self.matched.extend(self.near.iter().map(|&(_, i)| self.keyframes[i].path_length));
         if !self.is_exploring() {
-            self.held_until = now;
+            self.anchored_until = now;
         }
-        self.place_views(views);
-        Some(self.keyframes[self.near.first()?.1].place)
+        self.write_views(views);
+        Some(self.keyframes[self.near.first()?.1].pose)
     }
 
-    /// The `count` keyframes around a pose that scans are not matched to, as nobody knows whether they are where they seem to be.
-    pub(super) fn unrecognised_around(
+    /// Selects up to `count` keyframes near a pose that are not connected with the matched ones, because the drift between them
+    /// is unknown.
+    pub(super) fn loop_candidate(
         &mut self,
         map_from_laser: &Pose2,
         count: usize,
         views: &mut Vec<PlacedView>,
-    ) -> Option<Unrecognised> {
-        self.find_near(map_from_laser, |map, keyframe| !map.is_known(keyframe.way));
-        let &Keyframe { place: Placement { map_from_laser, covariance, .. }, way, .. } = &self.keyframes[self.near.first()?.1];
+    ) -> Option<LoopCandidate> {
+        self.collect_near(map_from_laser, |map, keyframe| !map.is_connected(keyframe.path_length));
+        let &Keyframe { pose: KeyframePose { map_from_laser, covariance, by_scale, .. }, path_length, .. } =
+            &self.keyframes[self.near.first()?.1];
         let mut near = std::mem::take(&mut self.near);
-        near.retain(|&(_, i)| self.connected(way).any(|stretch| stretch.contains(&self.keyframes[i].way)));
+        near.retain(|&(_, i)| {
+            self.connected_stretches(path_length).any(|stretch| stretch.contains(&self.keyframes[i].path_length))
+        });
         near.truncate(count);
         self.near = near;
-        self.place_views(views);
-        Some(Unrecognised { map_from_laser, covariance, way })
+        self.write_views(views);
+        Some(LoopCandidate { map_from_laser, covariance, by_scale, path_length })
     }
 
-    /// Whether no scan is matched to keyframes of long ago: then the path drifts.
+    /// Whether scans are matched only to recent keyframes, so that the path drifts.
     pub(super) fn is_exploring(&self) -> bool {
-        let now = self.way();
-        self.matched.iter().all(|way| now - way <= SHORT_WAY)
+        let now = self.path_length();
+        self.matched.iter().all(|path_length| now - path_length <= MAX_CONNECTED_LENGTH)
     }
 
-    /// The last keyframe is where these are.
-    pub(super) fn link(&mut self, recognised: &Unrecognised) {
-        self.links.push(Link { later: self.way(), earlier: recognised.way });
+    /// Links the latest keyframe with the candidate.
+    pub(super) fn link(&mut self, candidate: &LoopCandidate) {
+        self.links.push(Link { later: self.path_length(), earlier: candidate.path_length });
     }
 
-    /// Way to the last keyframe since it was at the one recognised, or since others of long ago last held the path, m.
-    pub(super) fn free_way(&self, recognised: &Unrecognised) -> f64 {
-        self.way() - recognised.way.max(self.held_until)
+    /// Length of the path that has drifted: since the candidate, or since earlier keyframes last anchored the path, m.
+    pub(super) fn drift_length(&self, candidate: &LoopCandidate) -> f64 {
+        self.path_length() - candidate.path_length.max(self.anchored_until)
     }
 
-    /// Way to where that began, m.
-    fn free_since(&self, recognised: &Unrecognised) -> f64 {
-        self.way() - self.free_way(recognised)
+    /// Path length at which the drift began, m.
+    fn drift_start(&self, candidate: &LoopCandidate) -> f64 {
+        self.path_length() - self.drift_length(candidate)
     }
 
-    /// Covariance of where the path has drifted to on the free way, in the map frame.
-    pub(super) fn drift_covariance(&self, recognised: &Unrecognised) -> PoseCovariance {
-        let start = self.free_since(recognised);
-        drift::covariance(self.keyframes.iter().filter(|keyframe| keyframe.way > start).map(|keyframe| &keyframe.place))
+    /// Covariance of the drift, in the map frame.
+    pub(super) fn drift_covariance(&self, candidate: &LoopCandidate) -> PoseCovariance {
+        let start = self.drift_start(candidate);
+        drift::end_covariance(
+            self.keyframes.iter().filter(|keyframe| keyframe.path_length > start).map(|keyframe| &keyframe.pose),
+        )
     }
 
-    /// The path has drifted on the free way, and is put right: the last keyframe was taken at `map_from_laser`; for those before it
-    /// follows from how sure their steps are.
-    pub(super) fn correct(&mut self, recognised: &Unrecognised, map_from_laser: &Pose2) {
-        let start = self.free_since(recognised);
-        let drifted = self.keyframes.iter_mut().filter(|keyframe| keyframe.way > start);
-        drift::put_right(drifted.map(|keyframe| &mut keyframe.place), map_from_laser);
+    /// Corrects the part of the path that has drifted: the latest keyframe was taken at `map_from_laser`, and the correction is
+    /// distributed over the steps by their uncertainty.
+    pub(super) fn correct(&mut self, candidate: &LoopCandidate, map_from_laser: &Pose2) {
+        let start = self.drift_start(candidate);
+        let drifted = self.keyframes.iter_mut().filter(|keyframe| keyframe.path_length > start);
+        drift::correct(drifted.map(|keyframe| &mut keyframe.pose), map_from_laser);
     }
 
-    /// Way to the last keyframe, m.
-    fn way(&self) -> f64 {
-        self.keyframes.back().map_or(0.0, |keyframe| keyframe.way)
+    /// Path length of the latest keyframe, m.
+    fn path_length(&self) -> f64 {
+        self.keyframes.back().map_or(0.0, |keyframe| keyframe.path_length)
     }
 
-    fn is_known(&self, way: f64) -> bool {
-        self.known.iter().any(|known| known.contains(&way))
+    fn is_connected(&self, path_length: f64) -> bool {
+        self.connected.iter().any(|stretch| stretch.contains(&path_length))
     }
 
-    /// Finds what is connected with the keyframes that scans are matched to.
-    fn find_known(&mut self) {
-        let mut known = std::mem::take(&mut self.known);
-        known.clear();
-        known.extend(self.matched.iter().flat_map(|&way| self.connected(way)));
-        self.known = known;
+    /// Updates the path length ranges that are connected with the matched keyframes.
+    fn update_connected(&mut self) {
+        let mut connected = std::mem::take(&mut self.connected);
+        connected.clear();
+        connected.extend(self.matched.iter().flat_map(|&path_length| self.connected_stretches(path_length)));
+        self.connected = connected;
     }
 
-    /// The stretches of the path that are a short way from a place on it, along the path or by a link.
-    fn connected(&self, way: f64) -> impl Iterator<Item = RangeInclusive<f64>> {
-        let around = |way: f64, reach: f64| (way - reach)..=(way + reach);
-        let by_links = self.links.iter().flat_map(|&Link { later, earlier }| [(later, earlier), (earlier, later)]);
-        let by_links = by_links.filter_map(move |(near, far)| {
-            let rest = SHORT_WAY - (way - near).abs();
+    /// Path length ranges within [`MAX_CONNECTED_LENGTH`] of a place on the path, along the path or across a link.
+    fn connected_stretches(&self, path_length: f64) -> impl Iterator<Item = RangeInclusive<f64>> {
+        let around = |path_length: f64, reach: f64| (path_length - reach)..=(path_length + reach);
+        let linked = self.links.iter().flat_map(|&Link { later, earlier }| [(later, earlier), (earlier, later)]);
+        let linked = linked.filter_map(move |(near, far)| {
+            let rest = MAX_CONNECTED_LENGTH - (path_length - near).abs();
             (rest >= 0.0).then(|| around(far, rest))
         });
-        std::iter::once(around(way, SHORT_WAY)).chain(by_links)
+        std::iter::once(around(path_length, MAX_CONNECTED_LENGTH)).chain(linked)
     }
 
-    /// Notes the keyframes within reach that are admitted, the ones that saw most first.
-    fn find_near(&mut self, map_from_laser: &Pose2, admits: impl Fn(&Self, &Keyframe) -> bool) {
-        self.find_known();
+    /// Collects the keyframes near a pose that `admits` accepts, by increasing view distance.
+    fn collect_near(&mut self, map_from_laser: &Pose2, admits: impl Fn(&Self, &Keyframe) -> bool) {
+        self.update_connected();
         let mut near = std::mem::take(&mut self.near);
         near.clear();
         for (i, keyframe) in self.keyframes.iter().enumerate() {
-            let difference = difference(map_from_laser, keyframe);
-            if difference <= REACH && admits(self, keyframe) {
+            let difference = view_distance(map_from_laser, keyframe);
+            if difference <= MAX_VIEW_DISTANCE && admits(self, keyframe) {
                 near.push((difference, i));
             }
         }
@@ -245,14 +254,14 @@ impl LocalMap {
         self.near = near;
     }
 
-    /// Leaves `count` of the keyframes noted: the nearest, and of the same visit some farther and farther out.
-    fn spread(&mut self, count: usize) {
+    /// Keeps `count` of the collected keyframes: the nearest ones, then others of the same visit at increasing distances.
+    fn thin_out(&mut self, count: usize) {
         let Some(&(_, first)) = self.near.first() else { return };
-        let (keyframes, way) = (&self.keyframes, self.keyframes[first].way);
+        let (keyframes, path_length) = (&self.keyframes, self.keyframes[first].path_length);
         let (mut kept, mut farthest) = (0, 0.0);
         self.near.retain(|&(difference, i)| {
-            let is_of_visit = (keyframes[i].way - way).abs() <= SHORT_WAY;
-            let is_chosen = kept < NEAREST || (difference >= farthest + SPACING && is_of_visit);
+            let is_of_visit = (keyframes[i].path_length - path_length).abs() <= MAX_CONNECTED_LENGTH;
+            let is_chosen = kept < NEAREST_VIEWS || (difference >= farthest + MIN_SPACING && is_of_visit);
             let is_kept = kept < count && is_chosen;
             if is_kept {
                 (kept, farthest) = (kept + 1, difference);
@@ -261,21 +270,21 @@ impl LocalMap {
         });
     }
 
-    /// The keyframes noted, as views of the first one's laser.
-    fn place_views(&self, views: &mut Vec<PlacedView>) {
+    /// Writes the collected keyframes as views in the frame of the first one's laser.
+    fn write_views(&self, views: &mut Vec<PlacedView>) {
         views.clear();
         let Some(&(_, first)) = self.near.first() else { return };
-        let first = self.keyframes[first].place.map_from_laser;
+        let first = self.keyframes[first].pose.map_from_laser;
         views.extend(self.near.iter().map(|&(_, i)| {
-            let Keyframe { place, view, .. } = &self.keyframes[i];
-            PlacedView { reference_from_view: first.between(&place.map_from_laser), view: Arc::clone(view) }
+            let Keyframe { pose, view, .. } = &self.keyframes[i];
+            PlacedView { reference_from_view: first.between(&pose.map_from_laser), view: Arc::clone(view) }
         }));
     }
 }
 
-fn difference(map_from_laser: &Pose2, keyframe: &Keyframe) -> f64 {
-    let motion = map_from_laser.between(&keyframe.place.map_from_laser);
-    motion.distance() + motion.theta.abs() / METRE_OF_TURN
+fn view_distance(map_from_laser: &Pose2, keyframe: &Keyframe) -> f64 {
+    let motion = map_from_laser.between(&keyframe.pose.map_from_laser);
+    motion.distance() + motion.theta.abs() / RADIANS_PER_METRE
 }
 
 #[cfg(test)]
@@ -287,17 +296,18 @@ mod tests {
     use crate::scan::{BeamGeometry, Scan};
     use crate::time::Stamp;
 
-    /// Keyframes at these places, each of which scans were matched to before they went on.
-    fn map(places: &[(f64, f64)], most: usize) -> LocalMap {
+    /// A map with keyframes at these poses, each matched to before the next one was added.
+    fn map(poses: &[(f64, f64)], max_keyframes: usize) -> LocalMap {
         let beams = BeamGeometry::new(0.0, 0.1, 30);
         let scan = Scan::new(Stamp::default(), beams.into(), (0.0, 10.0), vec![1.0; 30]).unwrap();
         let view = Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default()).view(scan);
         let mut map = LocalMap::default();
-        for &(x, y) in places {
+        for &(x, y) in poses {
             let (covariance, step_covariance) = (PoseCovariance::zeros(), uncertainty::diagonal(0.01, 1e-6));
-            let (stamp, map_from_laser, base_from_laser) = (Stamp::default(), Pose2::new(x, y, 0.0), Pose2::IDENTITY);
-            let place = Placement { stamp, map_from_laser, base_from_laser, covariance, step_covariance };
-            map.add(place, Arc::clone(&view), false, most);
+            let (map_from_laser, base_from_laser) = (Pose2::new(x, y, 0.0), Pose2::IDENTITY);
+            let by_scale = ScaleJacobian::NONE;
+            let pose = KeyframePose { map_from_laser, base_from_laser, covariance, by_scale, step_covariance };
+            map.add(pose, Arc::clone(&view), false, max_keyframes);
             around(&mut map, (x, y), 1);
         }
         map
@@ -305,11 +315,11 @@ mod tests {
 
     fn around(map: &mut LocalMap, (x, y): (f64, f64), count: usize) -> Vec<(f64, f64)> {
         let mut views = Vec::new();
-        let first = map.views_around(&Pose2::new(x, y, 0.0), None, count, &mut views).unwrap().map_from_laser;
+        let first = map.select_views(&Pose2::new(x, y, 0.0), None, count, &mut views).unwrap().map_from_laser;
         views.iter().map(|placed| first * placed.reference_from_view).map(|pose| (pose.x, pose.y)).collect()
     }
 
-    /// Out and back along a line, half a metre beside it.
+    /// Out and back along a line, with an offset of half a metre.
     fn there_and_back() -> LocalMap {
         let out = (0..=20).map(|x| (f64::from(x), 0.0));
         let back = (0..=20).rev().map(|x| (f64::from(x), 0.5));
@@ -320,7 +330,7 @@ mod tests {
     fn the_nearest_keyframes_are_chosen() {
         let mut map = map(&[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)], 10);
         assert_eq!(around(&mut map, (0.9, 0.0), 2), [(1.0, 0.0), (0.0, 0.0)]);
-        assert_eq!(around(&mut map, (20.0, 0.0), 2), [(2.0, 0.0)], "others are out of reach, the last one never");
+        assert_eq!(around(&mut map, (20.0, 0.0), 2), [(2.0, 0.0)], "only the latest keyframe is used at any distance");
     }
 
     #[test]
@@ -333,31 +343,36 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_goes_when_there_are_too_many() {
+    fn the_oldest_is_dropped_when_there_are_too_many() {
         assert_eq!(around(&mut map(&[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)], 2), (0.0, 0.0), 5), [(1.0, 0.0), (2.0, 0.0)]);
     }
 
     #[test]
-    fn keyframes_of_long_ago_are_used_once_they_are_recognised() {
+    fn earlier_keyframes_are_used_once_they_are_linked() {
         let mut map = there_and_back();
         assert!(map.is_exploring());
         assert_eq!(around(&mut map, (0.9, 0.3), 2), [(1.0, 0.5), (0.0, 0.5)]);
         let mut views = Vec::new();
-        let recognised = map.unrecognised_around(&Pose2::new(0.9, 0.2, 0.0), 2, &mut views).unwrap();
-        assert_eq!((recognised.map_from_laser, views.len()), (Pose2::new(1.0, 0.0, 0.0), 2));
-        map.link(&recognised);
+        let candidate = map.loop_candidate(&Pose2::new(0.9, 0.2, 0.0), 2, &mut views).unwrap();
+        assert_eq!((candidate.map_from_laser, views.len()), (Pose2::new(1.0, 0.0, 0.0), 2));
+        map.link(&candidate);
         assert_eq!(around(&mut map, (0.9, 0.2), 2), [(1.0, 0.0), (1.0, 0.5)]);
         assert!(!map.is_exploring());
-        assert_eq!(around(&mut map, (8.0, 0.0), 1), [(8.0, 0.0)], "and those a short way from them");
+        assert_eq!(around(&mut map, (8.0, 0.0), 1), [(8.0, 0.0)], "and those a short path away from them");
     }
 
     #[test]
-    fn a_correction_is_spread_over_the_way_that_has_drifted() {
+    fn a_correction_is_distributed_over_the_path_that_has_drifted() {
         let mut map = there_and_back();
-        let recognised = map.unrecognised_around(&Pose2::new(0.0, 0.5, 0.0), 1, &mut Vec::new()).unwrap();
-        map.correct(&recognised, &Pose2::IDENTITY);
-        let y = |i: usize| map.keyframes[i].place.map_from_laser.y;
-        assert_eq!((y(0), y(41)), (0.0, 0.0), "the place recognised stays, the last keyframe comes to lie on it");
-        assert!((y(20) + 0.25).abs() < 0.01 && (y(21) - 0.25).abs() < 0.01, "half of it half way: {} {}", y(20), y(21));
+        let candidate = map.loop_candidate(&Pose2::new(0.0, 0.5, 0.0), 1, &mut Vec::new()).unwrap();
+        map.correct(&candidate, &Pose2::IDENTITY);
+        let y = |i: usize| map.keyframes[i].pose.map_from_laser.y;
+        assert_eq!((y(0), y(41)), (0.0, 0.0), "the candidate stays, the last keyframe moves onto it");
+        assert!(
+            (y(20) + 0.25).abs() < 0.01 && (y(21) - 0.25).abs() < 0.01,
+            "half of the correction half way: {} {}",
+            y(20),
+            y(21)
+        );
     }
 }

@@ -1,10 +1,9 @@
-//! Recognises places of earlier on the path.
+//! Verifies loop closures in the odometry.
 //!
-//! Every new keyframe is matched to the keyframes of long ago that should be around. Where the path has hardly drifted, one match
-//! says all. Where it has, a wrong place may look right for once: only several keyframes in a row that agree on where the path has
-//! drifted to are believed (the consistency of loop closures in a chain, as in Olson 2009, "Recognizing places using spectrally
-//! clustered local matches"). What is believed puts the path right as far as the match knows better than the path (the Kalman filter's
-//! update): along a corridor it may know nothing.
+//! Each new keyframe is matched to earlier keyframes nearby. If the path has drifted little, a single match is enough. If it has
+//! drifted far, a wrong place may match by chance. Then only several keyframes in a row that agree on the drift are accepted
+//! (consistency of loop closures in a chain, as in Olson 2009, "Recognizing places using spectrally clustered local matches"). An
+//! accepted measurement corrects the path by a Kalman update, weighted by its information: along a corridor that may be none.
 
 use std::ops::RangeInclusive;
 
@@ -13,116 +12,124 @@ use nalgebra::Matrix3;
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::SearchWindow;
 
-/// How far a path may have drifted per metre: that far the earlier keyframes are looked for, m ...
+/// Search radius for earlier keyframes per metre of drift length, m.
 const DRIFT_PER_METRE: f64 = 0.02;
-/// ... but within these limits, m, ...
+/// Limits of the search radius, m.
 const DRIFT: RangeInclusive<f64> = 0.3..=4.0;
-/// ... and rad ...
-const TURN_DRIFT_PER_METRE: f64 = 0.001;
-/// ... within these.
-const TURN_DRIFT: RangeInclusive<f64> = 0.02..=0.15;
-/// Where this part of the rays agrees at the place that the path says, no other place is looked for.
-const DOUBTFUL: f64 = 0.8;
-/// Least part of the rays that agree.
-const AGREEING: f64 = 0.7;
-/// A match says where a place is when it knows to within this, m: standard deviation. Along a corridor few do. From 1.5 to 2 cm all logs do
-/// alike; at 1 cm half of the scans of aces find too few loops, at 5 cm intel's relations are a third worse.
-const CLEAR: f64 = 0.017;
-/// A path has hardly drifted by less than this, m ...
+/// Searched heading range per metre of drift length, rad.
+const HEADING_DRIFT_PER_METRE: f64 = 0.001;
+/// Limits of the searched heading range, rad.
+const HEADING_DRIFT: RangeInclusive<f64> = 0.02..=0.15;
+/// If at least this fraction of the rays agrees at the pose by the path, no other pose is searched.
+const SEARCH_BELOW_AGREEMENT: f64 = 0.8;
+/// Minimum fraction of rays that must agree.
+const MIN_AGREEMENT: f64 = 0.7;
+/// Maximum standard deviation of the position for a match to be well constrained, m. Along corridors few are. From 1.5 to 2 cm
+/// all logs do equally well; at 1 cm half of the scans of aces find too few loops, at 5 cm the relations of intel are a third
+/// worse.
+const MAX_POSITION_ERROR: f64 = 0.017;
+/// Maximum position correction that is accepted after a single match, m.
 const SMALL_DRIFT: f64 = 0.3;
-/// ... and rad.
-const SMALL_TURN_DRIFT: f64 = 0.05;
-/// Keyframes in a row that must agree on a drift that is not small: to within this, m ...
-const CONSISTENT: f64 = 0.1;
-/// ... and rad.
-const CONSISTENT_TURN: f64 = 0.0175;
-/// So many.
-const IN_A_ROW: usize = 3;
+/// Maximum heading correction that is accepted after a single match, rad.
+const SMALL_HEADING_DRIFT: f64 = 0.05;
+/// Maximum position difference between larger corrections that agree, m.
+const MAX_POSITION_DIFFERENCE: f64 = 0.1;
+/// Maximum heading difference between larger corrections that agree, rad.
+const MAX_HEADING_DIFFERENCE: f64 = 0.0175;
+/// Number of consecutive keyframes that must agree on a larger correction.
+const MIN_CONSISTENT: usize = 3;
 
-/// What a match of a new keyframe to earlier ones says.
+/// A match of a new keyframe to earlier ones.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Sighting {
-    /// Pose of the keyframe's laser by the path.
-    pub(super) by_path: Pose2,
-    /// The same by the earlier keyframes.
-    pub(super) by_earlier: Pose2,
-    /// Part of the rays that agree with them.
+pub(super) struct LoopMeasurement {
+    /// Pose of the keyframe's laser according to the path.
+    pub(super) path_pose: Pose2,
+    /// Pose of the keyframe's laser according to the match.
+    pub(super) measured_pose: Pose2,
+    /// Fraction of the rays that agree with the earlier keyframes.
     pub(super) agreement: f64,
-    /// What the match knows of that pose: the inverse of its covariance, in the map frame; nothing along directions that it leaves open.
+    /// Information matrix of the measured pose, in the map frame; zero along unconstrained directions.
     pub(super) information: Matrix3<f64>,
 }
 
-impl Sighting {
-    /// Takes poses from where the path has them to where the earlier keyframes do.
+impl LoopMeasurement {
+    /// The transform from poses of the path to the measured poses.
     fn correction(&self) -> Pose2 {
-        self.by_earlier * self.by_path.inverse()
+        self.measured_pose * self.path_pose.inverse()
     }
 
-    /// Whether it says where the keyframe was taken, and not just where along a wall it may have been.
-    fn is_clear(&self) -> bool {
-        self.information.try_inverse().is_some_and(|known| (known.m11 + known.m22).sqrt() < CLEAR)
+    /// Whether the match determines the position, and not only the distance to a wall.
+    fn is_well_constrained(&self) -> bool {
+        self.information.try_inverse().is_some_and(|known| (known.m11 + known.m22).sqrt() < MAX_POSITION_ERROR)
     }
 
-    /// Where the keyframe was taken by all that is known, and the covariance, in the map frame. `drift`: covariance of the path's pose,
-    /// seen from the earlier keyframes; so many times that where the two contradict one another (Mehra 1970).
-    pub(super) fn weighed(&self, drift: &PoseCovariance) -> (Pose2, PoseCovariance) {
-        let Pose2 { x, y, theta } = self.by_path;
-        let offset = self.by_path.difference(&self.by_earlier);
-        // I (D I + E)^-1 is (D + I^-1)^-1, also where the information has no inverse.
-        let of_both = |drift: &PoseCovariance| {
+    /// Fuses path and measurement: the keyframe's pose and its covariance, in the map frame. `drift` is the covariance of the
+    /// path's pose relative to the earlier keyframes. If the innovation is larger than it allows, it is inflated (Mehra 1970).
+    pub(super) fn fused(&self, drift: &PoseCovariance) -> (Pose2, PoseCovariance) {
+        let Pose2 { x, y, theta } = self.path_pose;
+        let offset = self.path_pose.difference(&self.measured_pose);
+        // I (D I + E)^-1 equals (D + I^-1)^-1, but also exists if I is singular.
+        let innovation_information = |drift: &PoseCovariance| {
             let inverse = (drift * self.information + Matrix3::identity()).try_inverse();
             inverse.map_or_else(Matrix3::zeros, |inverse| self.information * inverse)
         };
-        let drift = drift * (offset.dot(&(of_both(drift) * offset)) / 3.0).max(1.0);
-        let gain = drift * of_both(&drift);
+        let drift = drift * (offset.dot(&(innovation_information(drift) * offset)) / 3.0).max(1.0);
+        let gain = drift * innovation_information(&drift);
         let change = gain * offset;
         (Pose2::new(x + change.x, y + change.y, theta + change.z), drift - gain * drift)
     }
 }
 
-/// Where to look for earlier keyframes when the path has been free to drift for `way`, m.
-pub(super) fn window(way: f64) -> SearchWindow {
+/// Search window for earlier keyframes after the path has drifted for `path_length`, m.
+pub(super) fn window(path_length: f64) -> SearchWindow {
     let within = |drift: f64, limits: &RangeInclusive<f64>| drift.clamp(*limits.start(), *limits.end());
     SearchWindow {
-        distance: within(DRIFT_PER_METRE * way, &DRIFT),
-        angle: within(TURN_DRIFT_PER_METRE * way, &TURN_DRIFT),
-        doubtful_agreement: DOUBTFUL,
+        distance: within(DRIFT_PER_METRE * path_length, &DRIFT),
+        angle: within(HEADING_DRIFT_PER_METRE * path_length, &HEADING_DRIFT),
+        min_agreement: SEARCH_BELOW_AGREEMENT,
     }
 }
 
-/// Judges sightings, of one keyframe after the other.
+/// Decides which loop measurements to accept.
 #[derive(Clone, Debug, Default)]
-pub(super) struct LoopCloser {
-    /// Corrections that the last keyframes ask for, which agree.
+pub(super) struct LoopVerifier {
+    /// Corrections of the latest keyframes, which agree with each other.
     corrections: Vec<Pose2>,
 }
 
-impl LoopCloser {
-    /// The last keyframe has seen nothing of earlier ones.
-    pub(super) fn forget(&mut self) {
+impl LoopVerifier {
+    /// The latest keyframe has no loop measurement.
+    pub(super) fn reset(&mut self) {
         self.corrections.clear();
     }
 
-    /// Whether to believe what the next keyframe has seen.
-    pub(super) fn believes(&mut self, sighting: &Sighting) -> bool {
-        if !sighting.is_clear() {
+    /// Whether to accept the measurement of the next keyframe.
+    pub(super) fn accepts(&mut self, measurement: &LoopMeasurement) -> bool {
+        if !measurement.is_well_constrained() {
             return false;
         }
-        let is_small = is_within(&sighting.by_path, &sighting.by_earlier, SMALL_DRIFT, SMALL_TURN_DRIFT);
-        if sighting.agreement < AGREEING || is_small {
-            self.forget();
-            return sighting.agreement >= AGREEING;
+        let is_small = is_within(&measurement.path_pose, &measurement.measured_pose, SMALL_DRIFT, SMALL_HEADING_DRIFT);
+        if measurement.agreement < MIN_AGREEMENT || is_small {
+            self.reset();
+            return measurement.agreement >= MIN_AGREEMENT;
         }
-        let agrees = |other: &Pose2| is_within(&(*other * sighting.by_path), &sighting.by_earlier, CONSISTENT, CONSISTENT_TURN);
+        let agrees = |other: &Pose2| {
+            is_within(
+                &(*other * measurement.path_pose),
+                &measurement.measured_pose,
+                MAX_POSITION_DIFFERENCE,
+                MAX_HEADING_DIFFERENCE,
+            )
+        };
         if !self.corrections.iter().all(agrees) {
-            self.forget();
+            self.reset();
         }
-        self.corrections.push(sighting.correction());
-        let is_believed = self.corrections.len() >= IN_A_ROW;
-        if is_believed {
-            self.forget();
+        self.corrections.push(measurement.correction());
+        let is_accepted = self.corrections.len() >= MIN_CONSISTENT;
+        if is_accepted {
+            self.reset();
         }
-        is_believed
+        is_accepted
     }
 }
 
@@ -137,55 +144,56 @@ mod tests {
 
     use super::*;
 
-    fn sighting(way: f64, drift: Pose2) -> Sighting {
-        let by_path = Pose2::new(way, 1.0, 0.3);
+    fn measurement(path_length: f64, drift: Pose2) -> LoopMeasurement {
+        let path_pose = Pose2::new(path_length, 1.0, 0.3);
         let information = Matrix3::from_diagonal(&Vector3::new(1e4, 1e4, 1e6));
-        Sighting { by_path, by_earlier: drift * by_path, agreement: 0.9, information }
+        LoopMeasurement { path_pose, measured_pose: drift * path_pose, agreement: 0.9, information }
     }
 
-    /// The same of a keyframe that has seen no more than a wall along x.
-    fn unclear(sighting: &Sighting) -> Sighting {
-        Sighting { information: Matrix3::from_diagonal(&Vector3::new(0.0, 1e4, 1e6)), ..*sighting }
+    /// The same measurement by a keyframe that saw nothing but a wall along x.
+    fn along_wall(measurement: &LoopMeasurement) -> LoopMeasurement {
+        LoopMeasurement { information: Matrix3::from_diagonal(&Vector3::new(0.0, 1e4, 1e6)), ..*measurement }
     }
 
-    fn believed(sightings: impl IntoIterator<Item = Sighting>) -> Vec<bool> {
-        let mut closer = LoopCloser::default();
-        sightings.into_iter().map(|sighting| closer.believes(&sighting)).collect()
-    }
-
-    #[test]
-    fn a_small_drift_is_believed_at_once() {
-        let small = sighting(3.0, Pose2::new(0.1, -0.1, 0.01));
-        assert_eq!(believed([small, Sighting { agreement: 0.5, ..small }, unclear(&small)]), [true, false, false]);
+    fn accepted(measurements: impl IntoIterator<Item = LoopMeasurement>) -> Vec<bool> {
+        let mut verifier = LoopVerifier::default();
+        measurements.into_iter().map(|measurement| verifier.accepts(&measurement)).collect()
     }
 
     #[test]
-    fn a_great_drift_takes_keyframes_in_a_row_that_agree() {
+    fn a_small_drift_is_accepted_at_once() {
+        let small = measurement(3.0, Pose2::new(0.1, -0.1, 0.01));
+        assert_eq!(accepted([small, LoopMeasurement { agreement: 0.5, ..small }, along_wall(&small)]), [true, false, false]);
+    }
+
+    #[test]
+    fn a_large_drift_takes_consecutive_keyframes_that_agree() {
         let drift = Pose2::new(1.0, 0.5, 0.03);
-        let (right, wrong) = (|way| sighting(way, drift), |way| sighting(way, Pose2::new(-0.7, 0.0, 0.0)));
-        assert_eq!(believed([right(0.0), right(0.4), right(0.8)]), [false, false, true]);
-        assert_eq!(believed([right(0.0), wrong(0.4), right(0.8), right(1.2), right(1.6)]), [false, false, false, false, true]);
-        let seen = [right(0.0), unclear(&right(0.4)), right(0.8), right(1.2)];
-        assert_eq!(believed(seen), [false, false, false, true], "what says nothing does not contradict");
+        let (right, wrong) =
+            (|path_length| measurement(path_length, drift), |path_length| measurement(path_length, Pose2::new(-0.7, 0.0, 0.0)));
+        assert_eq!(accepted([right(0.0), right(0.4), right(0.8)]), [false, false, true]);
+        assert_eq!(accepted([right(0.0), wrong(0.4), right(0.8), right(1.2), right(1.6)]), [false, false, false, false, true]);
+        let measurements = [right(0.0), along_wall(&right(0.4)), right(0.8), right(1.2)];
+        assert_eq!(accepted(measurements), [false, false, false, true], "an unconstrained match is no contradiction");
     }
 
     #[test]
-    fn the_path_is_put_right_as_far_as_the_match_knows_better() {
-        let seen = sighting(3.0, Pose2::new(0.1, -0.1, 0.01));
+    fn the_correction_is_weighted_by_the_information_of_the_match() {
+        let measurement = measurement(3.0, Pose2::new(0.1, -0.1, 0.01));
         let drift = PoseCovariance::from_diagonal(&Vector3::new(0.04, 0.04, 1e-3));
-        let (pose, covariance) = seen.weighed(&drift);
-        assert!(pose.between(&seen.by_earlier).distance() < 1e-3 && (covariance.m11 - 1e-4).abs() < 1e-6);
-        let (pose, covariance) = unclear(&seen).weighed(&drift);
-        assert!((pose.x - seen.by_path.x).abs() < 1e-9 && (pose.y - seen.by_earlier.y).abs() < 1e-3);
-        assert!((covariance.m11 - drift.m11).abs() < 1e-9, "nothing is learned of how far along");
+        let (pose, covariance) = measurement.fused(&drift);
+        assert!(pose.between(&measurement.measured_pose).distance() < 1e-3 && (covariance.m11 - 1e-4).abs() < 1e-6);
+        let (pose, covariance) = along_wall(&measurement).fused(&drift);
+        assert!((pose.x - measurement.path_pose.x).abs() < 1e-9 && (pose.y - measurement.measured_pose.y).abs() < 1e-3);
+        assert!((covariance.m11 - drift.m11).abs() < 1e-9, "the position along the wall stays unknown");
     }
 
     #[test]
-    fn a_path_that_claims_to_have_drifted_less_is_not_believed() {
-        let seen = sighting(3.0, Pose2::new(0.1, 0.0, 0.0));
+    fn a_path_that_claims_to_have_drifted_less_gets_an_inflated_covariance() {
+        let measurement = measurement(3.0, Pose2::new(0.1, 0.0, 0.0));
         let claimed = PoseCovariance::from_diagonal(&Vector3::repeat(1e-6));
-        let (pose, covariance) = seen.weighed(&claimed);
-        assert!(pose.x - seen.by_path.x > 0.02, "it would be a millimetre: {pose:?}");
+        let (pose, covariance) = measurement.fused(&claimed);
+        assert!(pose.x - measurement.path_pose.x > 0.02, "without inflation it would be a millimetre: {pose:?}");
         assert!(covariance.m11 > 10.0 * claimed.m11, "{covariance}");
     }
 }

@@ -1,26 +1,29 @@
-//! Laser odometry: predict, match, keep the reference up to date.
+//! Laser odometry: predicts, matches and maintains the reference.
 //!
-//! [`LaserOdometry::register_within`] is the whole of it. Frames: `map` is where the keyframes are, and drifts as little as they let it;
-//! `odom` is where the pose never jumps (REP 105); `base` is the robot, `laser` the sensor, and the keyframe is the reference scan's
-//! laser. When a place is recognised, map and odom part: [`Registration::map_from_odom`].
+//! The main function is [`LaserOdometry::register_within`]. Frames: `map` is the frame of the keyframes, corrected by loop
+//! closures; `odom` is the frame in which the pose never jumps (REP 105); `base` is the robot and `laser` the sensor. The
+//! keyframe's frame is that of the laser at the reference scan. A loop closure moves odom relative to map, see
+//! [`Registration::map_from_odom`].
 
-mod answer;
-mod attempt;
 mod clock_step;
 mod counters;
-mod doubt;
 mod drift;
 pub mod heading;
+mod inconsistency;
+mod keyframe_pose;
 mod keyframes;
 mod known_motion;
 mod lag;
 mod local_map;
 mod loop_closure;
+mod match_problem;
 mod motion_state;
-mod placement;
+mod pose_estimate;
 mod prediction;
+mod recent_path;
 mod recognition;
 mod registration;
+mod scale_error;
 mod set_pose;
 mod source_noise;
 pub mod sources;
@@ -34,27 +37,27 @@ use std::time::Duration;
 use crate::anytime::clock::VirtualClock;
 use crate::anytime::contract::Contract;
 use crate::anytime::cost_model::CostModel;
-use crate::anytime::interrupt::Never;
-use crate::anytime::{Driver, ErrorEstimate, Task, estimated_error};
+use crate::anytime::interrupt::NeverInterrupt;
+use crate::anytime::{ContractRunner, ErrorEstimate, ScanContract, estimated_error};
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::knobs::Seconds;
 use crate::matching::classic::rejection::RejectionKnobs;
 use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
 use crate::scan::Scan;
 use crate::time::{Continuity, Stamp};
-use crate::transforms::LaserPlace;
-use answer::{Answer, Found, problem};
-use attempt::{Attempt, Last};
+use crate::transforms::LaserPose;
 pub use counters::{OdometryCounters, counted_in_words};
-use doubt::Doubt;
 use heading::HeadingReading;
-use keyframes::{Approach, UpcomingKeyframe, is_same_mount};
+use inconsistency::Inconsistency;
+use keyframe_pose::KeyframePose;
+use keyframes::{PendingKeyframe, is_same_mount};
 use local_map::LocalMap;
-use loop_closure::LoopCloser;
+use loop_closure::LoopVerifier;
+use match_problem::{MatchProblem, PreviousEstimate};
 use motion_state::MotionState;
-use placement::Placement;
-use prediction::Prediction;
-pub use registration::{Disbelieved, Failure, FailureReason, MatchedPoints, Outcome, RefinementReport, Registration};
+use pose_estimate::{MatchResult, PoseEstimate, check_match};
+use recent_path::RecentPath;
+pub use registration::{Failure, FailureReason, MatchedPoints, Outcome, RefinementReport, Registration, RejectedSources};
 use registration::{matched_points, report};
 use set_pose::SetPose;
 use source_noise::LearnedNoise;
@@ -62,97 +65,100 @@ use sources::MotionSources;
 use sweep::Sweep;
 use wheel::{WheelEvent, WheelSample};
 
-/// A pose farther than this, m, from where the velocity before leads has jumped, ...
-const JUMP: f64 = 0.04;
-/// as has one with this turn, rad, ...
-const TURN_JUMP: f64 = 0.04;
-/// besides what a robot speeds up by: m/s^2 ...
+/// Maximum deviation from the position at constant velocity that is not a jump, m, besides acceleration.
+const MAX_POSITION_JUMP: f64 = 0.04;
+/// Maximum deviation from the heading at constant angular velocity that is not a jump, rad, besides acceleration.
+const MAX_HEADING_JUMP: f64 = 0.04;
+/// Maximum linear acceleration of a robot, m/s^2.
 const MAX_ACCELERATION: f64 = 30.0;
-/// ... and rad/s^2.
-const MAX_TURN_ACCELERATION: f64 = 100.0;
-/// Weight of the last scan in the usual agreement and period.
-const USUAL_WEIGHT: f64 = 0.05;
-/// Time that the usual velocity is of, s.
-const USUAL_TIME: f64 = 0.1;
+/// Maximum angular acceleration of a robot, rad/s^2.
+const MAX_ANGULAR_ACCELERATION: f64 = 100.0;
+/// Weight of the latest scan in the moving averages of agreement and scan period.
+const TYPICAL_WEIGHT: f64 = 0.05;
+/// Time constant of the smoothed velocity, s.
+const TYPICAL_TWIST_TIME: f64 = 0.1;
 
 crate::choices! {
-    /// The scan that is matched to.
+    /// The reference that scans are matched to.
     pub enum ReferenceChoice {
-        /// The scan before.
+        /// The previous scan.
         Previous = "previous",
-        /// The last keyframe.
+        /// The latest keyframe.
         Keyframe = "keyframe",
-        /// The keyframes around, of the whole path.
+        /// Nearby keyframes of the whole path.
         LocalMap = "local_map",
     }
 }
 
 crate::knobs! {
-    /// From matches to a trajectory.
+    /// Parameters of laser odometry.
     pub struct OdometryKnobs {
-        /// What a scan is matched to: the scan before, the last keyframe, or the keyframes around.
+        /// Reference of a scan: the previous scan, the latest keyframe, or nearby keyframes of the local map.
         reference: ReferenceChoice = ReferenceChoice::LocalMap;
-        /// Keyframes that a scan is matched to at once: the three nearest, and some farther and farther out. Coarse levels make do with
-        /// the three; nearest points are looked for in the first of them alone.
+        /// Number of keyframes that a scan is matched to at once: the three nearest, then others at increasing distances. Coarse
+        /// levels use only the three nearest; nearest-point correspondence searches only the first.
         views: u32 = 6, in 1 to 20;
-        /// Keyframes of the local map at most; beyond, the oldest go. One takes 30 to 50 bytes per beam.
+        /// Maximum number of keyframes in the local map; beyond that the oldest are dropped. A keyframe takes 30 to 50 bytes per
+        /// beam.
         max_keyframes: u32 = 1000, in 1 to 10000;
-        /// Recognise places of earlier on the path, in the local map, and put the map right: poses then jump in the map frame, never in
-        /// the odom frame. Takes projective pairs. Without, keyframes serve for 20 m of the way, and map and odom are one.
+        /// Close loops: recognise previously visited places in the local map and correct the map. Poses then jump in the map
+        /// frame, never in the odom frame. Needs projective correspondences. When off, a keyframe is used for 20 m of driving,
+        /// and map and odom are the same frame.
         close_loops: bool = true;
-        /// A new keyframe after this way.
+        /// Distance from the latest keyframe that triggers a new one.
         keyframe_distance: f64 = 0.4, in 0 to 100, unit "m";
-        /// A new keyframe after this turn.
+        /// Rotation from the latest keyframe that triggers a new one.
         keyframe_angle: f64 = 0.35, in 0 to 4, unit "rad";
-        /// Pose of the laser in the base frame, `[x, y, yaw]`; with a fourth number, its roll, which is 3.1416 for a laser on its head and
-        /// else what tf says; unset: from `/tf` or `/tf_static`, else the identity, with a warning.
-        laser_in_base: Option<LaserPlace> = None, unit "m, m, rad";
-        /// Whether to put rays that were taken one after the other where they belong.
+        /// Pose of the laser in the base frame, `[x, y, yaw]`. A fourth number is its roll, 3.1416 for a laser mounted upside
+        /// down; by default the roll is taken from tf. Unset: the pose is taken from `/tf` or `/tf_static`, or else is the
+        /// identity, with a warning.
+        laser_in_base: Option<LaserPose> = None, unit "m, m, rad";
+        /// Correct the motion distortion of rays that were measured one after the other.
         deskew: bool = true;
-        /// Time from the first ray of a scan to the last, where the driver's `time_increment` does not say; unset: as it says. Less than
-        /// zero where the driver has put the rays in reverse order: the last one was taken first, at the stamp.
+        /// Time from the first to the last ray of a scan, if the driver does not set `time_increment`; unset: use
+        /// `time_increment`. Negative if the driver has reversed the rays, so that the last ray was measured first, at the stamp.
         scan_duration: Option<Seconds> = None, in -1 to 1, unit "s";
-        /// Pose of the base at the start, `[x, y, yaw]` in the map frame and in the odom frame.
+        /// Initial pose of the base, `[x, y, yaw]`, in both the map and the odom frame.
         initial_pose: Pose2 = Pose2::IDENTITY, unit "m, m, rad";
-        /// Longest wait for odometry that is more than 50 ms behind a scan; not longer than the time budget.
+        /// Maximum time to wait for odometry that is more than 50 ms behind a scan; limited by the time budget.
         max_wait: Seconds = Seconds(0.3), in 0 to 10, unit "s";
-        /// A match that corrects the prediction by more than this is not believed.
+        /// Reject a match that shifts the predicted position by more than this.
         max_correction_distance: f64 = 1.0, in 0.01 to 100, unit "m";
-        /// A match that turns the prediction by more than this is not believed.
+        /// Reject a match that changes the predicted heading by more than this.
         max_correction_angle: f64 = 0.8, in 0.01 to 4, unit "rad";
     }
 }
 
-/// Laser odometry: scans and wheel odometry in, poses out.
+/// Laser odometry: takes scans and wheel odometry, returns poses.
 pub struct LaserOdometry {
     knobs: OdometryKnobs,
     matcher: Matcher,
     sources: MotionSources,
     noise: LearnedNoise,
     stamps: Continuity,
-    /// A scan was answered before the odometry had come for it: it may have died, none is waited for until it is back.
-    waited_in_vain: bool,
+    /// A scan was matched before its odometry arrived. The odometry may have stopped, so no scan waits for it until it is back.
+    odometry_wait_timed_out: bool,
     map: LocalMap,
     map_from_odom: Pose2,
-    /// Covariance of its inverse, in the odom frame: by so much the path had drifted where places were recognised.
+    /// Covariance of the inverse of `map_from_odom`, in the odom frame: the drift that loop closures have corrected.
     drift_covariance: PoseCovariance,
-    loop_closer: LoopCloser,
-    /// The last keyframe has not been compared with earlier ones yet.
-    to_be_recognised: bool,
+    loop_verifier: LoopVerifier,
+    /// The latest keyframe has not been compared with earlier ones yet.
+    loop_check_pending: bool,
     views: Vec<PlacedView>,
-    keyframe: Option<Placement>,
-    approach: Approach,
-    upcoming_keyframe: Option<UpcomingKeyframe>,
-    /// The last scan, when its answer was given before its match was done, and the pose (in the keyframe) that it had come to.
-    unfinished: Option<(Scan, Attempt, Pose2)>,
-    last: Option<Last>,
-    usual_agreement: f64,
-    /// Time from one scan to the next, s.
-    usual_period: f64,
-    start: Pose2,
+    keyframe: Option<KeyframePose>,
+    recent_path: RecentPath,
+    pending_keyframe: Option<PendingKeyframe>,
+    /// The latest scan if its pose was returned before its match had finished, and the pose reached, in the keyframe's frame.
+    unfinished: Option<(Scan, MatchProblem, Pose2)>,
+    previous: Option<PreviousEstimate>,
+    typical_agreement: f64,
+    /// Moving average of the time between scans, s.
+    typical_period: f64,
+    start_pose: Pose2,
     set_pose: Option<SetPose>,
-    /// The velocity of the last [`USUAL_TIME`]; a single pose that jumps spoils it little.
-    usual_twist: Twist2,
+    /// Velocity smoothed over [`TYPICAL_TWIST_TIME`], so that a single jump of the pose has little effect.
+    typical_twist: Twist2,
     counters: OdometryCounters,
     keep_matched_points: bool,
     matched_points: Option<MatchedPoints>,
@@ -160,31 +166,31 @@ pub struct LaserOdometry {
 }
 
 impl LaserOdometry {
-    /// Odometry with these knobs, at its initial pose.
+    /// Creates an odometry at the configured initial pose.
     pub fn new(knobs: &OdometryKnobs, matching: &MatchingKnobs, rejection: &RejectionKnobs) -> Self {
         Self {
             knobs: knobs.clone(),
-            matcher: Matcher::new(matching, rejection).learning_noise(),
+            matcher: Matcher::new(matching, rejection).with_noise_estimation(),
             sources: MotionSources::default(),
             noise: LearnedNoise::default(),
             stamps: Continuity::default(),
-            waited_in_vain: false,
+            odometry_wait_timed_out: false,
             map: LocalMap::default(),
             map_from_odom: Pose2::IDENTITY,
             drift_covariance: PoseCovariance::zeros(),
-            loop_closer: LoopCloser::default(),
-            to_be_recognised: false,
+            loop_verifier: LoopVerifier::default(),
+            loop_check_pending: false,
             views: Vec::new(),
             keyframe: None,
-            approach: Approach::default(),
-            upcoming_keyframe: None,
+            recent_path: RecentPath::default(),
+            pending_keyframe: None,
             unfinished: None,
-            last: None,
-            usual_agreement: 1.0,
-            usual_period: 0.0,
-            start: knobs.initial_pose,
+            previous: None,
+            typical_agreement: 1.0,
+            typical_period: 0.0,
+            start_pose: knobs.initial_pose,
             set_pose: None,
-            usual_twist: Twist2::default(),
+            typical_twist: Twist2::default(),
             counters: OdometryCounters::default(),
             keep_matched_points: false,
             matched_points: None,
@@ -197,98 +203,100 @@ impl LaserOdometry {
         &self.counters
     }
 
-    /// Whether to keep the matched points of each answer for [`Self::matched_points`].
+    /// Whether to keep the matched points of each scan for [`Self::matched_points`].
     pub fn set_keep_matched_points(&mut self, keep: bool) {
         self.keep_matched_points = keep;
     }
 
-    /// The matched points of the last answer, where it was a match and they were to be kept.
+    /// The matched points of the latest scan, if it was matched and they were to be kept.
     pub fn matched_points(&self) -> Option<&MatchedPoints> {
         self.matched_points.as_ref()
     }
 
-    /// Scans show the robot where the wheel odometry had it so much earlier, s; found along the path, 0 as long as nothing says so.
+    /// Estimated lag of scans behind the wheel odometry, s: a scan shows the robot where the odometry had it this much earlier. 0
+    /// until it can be estimated.
     pub fn odometry_lag(&self) -> f64 {
         self.sources.wheel_lag()
     }
 
-    /// What each iteration of the last match did; empty where there was none for the last answer.
+    /// What each iteration of the latest match did; empty if the latest scan was not matched.
     pub fn iterations(&self) -> &[IterationTrace] {
         &self.iterations
     }
 
-    /// Another limit of the iterations of one match.
+    /// Sets the maximum number of iterations per match.
     pub fn set_max_iterations(&mut self, limit: u32) {
         self.matcher.set_max_iterations(limit);
     }
 
-    /// Starts again: the next scan is the first one, at `map_from_base`; map and odom are one again.
+    /// Restarts: the next scan is the first one, at `map_from_base`, and map and odom coincide again.
     pub fn restart_at(&mut self, map_from_base: Pose2) {
         self.forget_reference();
-        self.usual_agreement = 1.0;
+        self.typical_agreement = 1.0;
         self.noise = LearnedNoise::default();
         self.stamps = Continuity::default();
-        self.last = None;
+        self.previous = None;
         self.map_from_odom = Pose2::IDENTITY;
         self.drift_covariance = PoseCovariance::zeros();
-        self.start = map_from_base;
+        self.start_pose = map_from_base;
         self.set_pose = None;
     }
 
-    /// Starts again at the initial pose, with nothing known.
+    /// Restarts at the initial pose and forgets all motion sources.
     pub fn reset(&mut self) {
         self.restart_at(self.knobs.initial_pose);
         self.sources.clear();
     }
 
-    /// The next scan is one that others are matched to: as when those before were taken from another place on the base than was known. The
-    /// base goes on from where it was said to be.
+    /// Drops all keyframes, so that the next scan becomes the reference. For example, the mounting pose of the laser turned out
+    /// to be wrong. The base continues from its estimated pose.
     pub fn forget_reference(&mut self) {
         self.unfinished = None;
         self.keyframe = None;
         self.map.clear();
-        self.loop_closer.forget();
-        self.to_be_recognised = false;
-        self.upcoming_keyframe = None;
+        self.recent_path.clear();
+        self.loop_verifier.reset();
+        self.loop_check_pending = false;
+        self.pending_keyframe = None;
     }
 
-    /// Takes a message of wheel odometry.
+    /// Adds a message of wheel odometry.
     pub fn add_wheel_sample(&mut self, sample: WheelSample) {
-        self.waited_in_vain = false;
+        self.odometry_wait_timed_out = false;
         match self.sources.push(sample) {
             WheelEvent::Appended => {}
-            WheelEvent::TimeJump { goes_on } => self.stamps.odometry_went_back(goes_on),
+            WheelEvent::TimeJump { is_continuous } => self.stamps.odometry_went_back(is_continuous),
             WheelEvent::Duplicate => self.counters.duplicate_odometry += 1,
             WheelEvent::Reset => self.counters.odometry_resets += 1,
         }
     }
 
-    /// Takes a reading of the IMU.
-    pub fn add_heading(&mut self, reading: HeadingReading) {
-        self.waited_in_vain = false;
-        self.sources.push_heading(reading);
+    /// Adds an IMU reading.
+    pub fn add_imu_reading(&mut self, reading: HeadingReading) {
+        self.odometry_wait_timed_out = false;
+        self.sources.push_imu_reading(reading);
     }
 
-    /// Takes where another node's transforms say the base is.
+    /// Adds the pose of the base by another node's transforms.
     pub fn add_transform_sample(&mut self, sample: WheelSample) {
-        self.waited_in_vain = false;
+        self.odometry_wait_timed_out = false;
         self.sources.push_transform(sample);
     }
 
-    /// Takes the velocity of the base as it is now.
+    /// Sets the current velocity of the base.
     pub fn set_velocity(&mut self, twist: Twist2) {
-        if let Some(last) = self.last {
-            self.sources.set_velocity(last.stamp, twist);
+        if let Some(previous) = self.previous {
+            self.sources.set_velocity(previous.stamp, twist);
         }
     }
 
-    /// Whether a scan of this stamp is better answered when the next odometry message has come.
+    /// Whether a scan of this stamp should wait for the next odometry message.
     pub fn awaits_odometry(&self, stamp: Stamp) -> bool {
-        !self.waited_in_vain && self.sources.is_behind(stamp)
+        !self.odometry_wait_timed_out && self.sources.is_behind(stamp)
     }
 
-    /// The answer for a scan: where the base was when it was taken, whatever time it takes to find out. `base_from_laser` is the laser's
-    /// place on the base.
+    /// Registers a scan without a time limit: returns the pose of the base when it was taken. `base_from_laser` is the mounting
+    /// pose of the laser.
     ///
     /// ```
     /// use anytime_scan_matcher::geometry::Pose2;
@@ -297,7 +305,7 @@ impl LaserOdometry {
     /// use anytime_scan_matcher::scan::{BeamGeometry, Scan};
     /// use anytime_scan_matcher::time::Stamp;
     ///
-    /// // What a laser sees that drives at 1 m/s in a room of 6 m by 4 m.
+    /// // The scan of a laser that drives at 1 m/s in a room of 6 m by 4 m.
     /// let scan = |seconds: f64| {
     ///     let range = |i: i32| {
     ///         let (sin, cos) = (f64::from(i - 180) * 0.0174).sin_cos();
@@ -309,118 +317,133 @@ impl LaserOdometry {
     /// };
     /// let mut odometry = LaserOdometry::new(&OdometryKnobs::default(), &MatchingKnobs::default(), &RejectionKnobs::default());
     /// for i in 0..20 {
-    ///     let answer = odometry.register(&scan(0.05 * f64::from(i)).unwrap(), &Pose2::IDENTITY);
-    ///     assert!((answer.odom_from_base.x - 0.05 * f64::from(i)).abs() < 0.01);
+    ///     let registration = odometry.register(&scan(0.05 * f64::from(i)).unwrap(), &Pose2::IDENTITY);
+    ///     assert!((registration.odom_from_base.x - 0.05 * f64::from(i)).abs() < 0.01);
     /// }
     /// ```
     pub fn register(&mut self, scan: &Scan, base_from_laser: &Pose2) -> Registration {
         let (clock, mut costs) = (VirtualClock::new(Duration::ZERO), CostModel::new(0.5));
-        let task = Task { contract: Contract::default(), arrival: Duration::ZERO, taken_up: Duration::ZERO };
-        self.register_within(scan, base_from_laser, &mut Driver::new(task, &clock, &Never, &mut costs))
+        let scan_contract = ScanContract { contract: Contract::default(), arrival: Duration::ZERO, started: Duration::ZERO };
+        self.register_within(scan, base_from_laser, &mut ContractRunner::new(scan_contract, &clock, &NeverInterrupt, &mut costs))
     }
 
-    /// The same within a contract: the best answer there is when `driver` says that time is up, or that it is good enough.
-    pub fn register_within(&mut self, scan: &Scan, base_from_laser: &Pose2, driver: &mut Driver) -> Registration {
+    /// As [`Self::register`], but under a contract: returns the best pose when `runner` stops the refinement, out of time or
+    /// within the error bound.
+    pub fn register_within(&mut self, scan: &Scan, base_from_laser: &Pose2, runner: &mut ContractRunner) -> Registration {
         self.maintain();
         self.matched_points = None;
         self.iterations.clear();
-        if let Some(answer) = self.answer_by_stamp(scan.stamp()) {
-            return answer;
+        if let Some(registration) = self.check_stamp(scan.stamp()) {
+            return registration;
         }
         let undistorted = self.undistorted(scan, base_from_laser);
         let scan = undistorted.as_ref().unwrap_or(scan);
-        if let Some(answer) = self.answer_at_set_pose(scan, base_from_laser) {
-            return answer;
+        if let Some(registration) = self.register_at_set_pose(scan, base_from_laser) {
+            return registration;
         }
-        let Some(last) = self.last else { return self.answer_first(scan, base_from_laser, self.start, PoseCovariance::zeros()) };
-        let mut attempt = self.attempt(&last, scan.stamp(), base_from_laser);
-        if self.keyframe.is_none() {
-            let (map_from_base, covariance) = attempt.predicted_base();
-            return self.answer_first(scan, base_from_laser, map_from_base, covariance);
-        }
-        let Some(keyframe) = self.keyframe_seen_by(scan, &attempt) else {
-            return self.answer_unseen(scan, &attempt);
+        let Some(previous) = self.previous else {
+            return self.register_first(scan, base_from_laser, self.start_pose, PoseCovariance::zeros());
         };
-        let first_guess = keyframe.map_from_laser.between(&attempt.predicted_laser());
-        let mut found = self.match_to(&keyframe, scan, &attempt, first_guess, driver);
-        if let Some((set_forward, fits)) = self.match_where_the_clock_was_set(&keyframe, scan, &attempt, &found, driver) {
-            (attempt, found) = (set_forward, fits);
+        let mut problem = self.match_problem(&previous, scan.stamp(), base_from_laser);
+        if self.keyframe.is_none() {
+            let (map_from_base, covariance) = problem.predicted_base();
+            let covariance = covariance + problem.predicted_by_scale().covariance();
+            return self.register_first(scan, base_from_laser, map_from_base, covariance);
         }
-        let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
-        let worth_finishing = match found.report.stop_reason {
+        let Some(keyframe) = self.reference_for(scan, &problem) else {
+            return self.register_without_overlap(scan, &problem);
+        };
+        let first_guess = keyframe.map_from_laser.between(&problem.predicted_laser());
+        let mut result = self.match_scan(&keyframe, scan, &problem, first_guess, runner);
+        if let Some((corrected, refit)) = self.match_after_clock_step(&keyframe, scan, &problem, &result, runner) {
+            (problem, result) = (corrected, refit);
+        }
+        let becomes_keyframe = self.needs_keyframe(&result.keyframe_from_laser);
+        let worth_finishing = match result.report.stop_reason {
             StopReason::Budget | StopReason::Interrupted => true,
-            // Good enough for itself, but the errors of keyframes add up.
+            // The pose is good enough to return, but a keyframe's error adds to those of all later poses.
             StopReason::ErrorBound => becomes_keyframe,
             _ => false,
         };
         if !worth_finishing
-            && self.is_reference_refuted(&attempt, &found, scan.stamp())
-            && let Some(answer) = self.replace_reference(scan, &attempt, &found)
+            && self.is_reference_refuted(&problem, &result, scan.stamp())
+            && let Some(registration) = self.replace_reference(scan, &problem, &result)
         {
-            return answer;
+            return registration;
         }
         if worth_finishing {
-            self.unfinished = Some((scan.clone(), attempt, found.keyframe_from_laser));
+            self.unfinished = Some((scan.clone(), problem, result.keyframe_from_laser));
         } else {
-            self.judge_sources(&attempt, &found, scan.stamp());
+            self.update_noise(&problem, &result, scan.stamp());
         }
-        match found.answer {
-            Ok(answer) => self.conclude(scan, base_from_laser, answer, becomes_keyframe),
-            Err(problem) => {
-                // Where there was no time to match, or another laser took it, nothing speaks against the keyframe.
-                let no_time = found.report.iterations == 0 && !found.report.stop_reason.is_failure();
+        match result.estimate {
+            Ok(estimate) => self.commit(scan, base_from_laser, estimate, becomes_keyframe),
+            Err(failure) => {
+                // If there was no time to match, or the scan is of another laser, the keyframe may still be good.
+                let no_time = result.report.iterations == 0 && !result.report.stop_reason.is_failure();
                 let is_lost = !no_time && is_same_mount(&keyframe.base_from_laser, base_from_laser);
-                self.answer_predicted(scan, &attempt, Some(found.report), problem, becomes_keyframe || !no_time, is_lost)
+                self.register_prediction(scan, &problem, Some(result.report), failure, becomes_keyframe || !no_time, is_lost)
             }
         }
     }
 
-    /// The scan without the distortion by the motion during its sweep, where there is any: at the velocity of the wheels, else of the
-    /// last answers.
+    /// The scan without the distortion by the motion during its sweep; `None` if there is none. The motion is that of the wheels,
+    /// or else that of the latest poses.
     pub fn undistorted(&self, scan: &Scan, base_from_laser: &Pose2) -> Option<Scan> {
         let sweep = Sweep::of(scan, &self.knobs)?;
         let (start, end) = sweep.span(scan.stamp());
-        let by_wheels = self.sources.motion(start, end).filter(|_| !self.noise.odometry.is_disbelieved());
-        let motion = by_wheels.or_else(|| Some(self.last?.mean_twist.motion(sweep.seconds())))?;
-        Some(sweep.straightened(scan, base_from_laser, &motion))
+        let by_wheels = self.sources.motion(start, end).filter(|_| !self.noise.odometry.is_rejected());
+        let motion = by_wheels.or_else(|| Some(self.previous?.mean_twist.motion(sweep.seconds())))?;
+        Some(sweep.deskewed(scan, base_from_laser, &motion))
     }
 
-    /// Finishes the match of the last scan, if its answer had to be given before: what follows is predicted from the better pose.
-    pub fn finish(&mut self, driver: &mut Driver) {
-        let (Some((scan, attempt, reached)), Some(keyframe)) = (self.unfinished.take(), self.keyframe) else { return };
-        let found = self.match_to(&keyframe, &scan, &attempt, reached, driver);
-        if self.is_reference_refuted(&attempt, &found, scan.stamp()) {
-            self.replace_reference(&scan, &attempt, &found);
+    /// Finishes the match of the latest scan if its pose had to be returned early: later scans are predicted from the better
+    /// pose.
+    pub fn finish(&mut self, runner: &mut ContractRunner) {
+        let (Some((scan, problem, reached)), Some(keyframe)) = (self.unfinished.take(), self.keyframe) else { return };
+        let result = self.match_scan(&keyframe, &scan, &problem, reached, runner);
+        if self.is_reference_refuted(&problem, &result, scan.stamp()) {
+            self.replace_reference(&scan, &problem, &result);
             return;
         }
-        self.judge_sources(&attempt, &found, scan.stamp());
-        let becomes_keyframe = self.wants_keyframe(&found.keyframe_from_laser);
-        if let Ok(answer) = found.answer {
-            // As if this had been the answer; a keyframe stays one.
-            let was_keyframe = self.upcoming_keyframe.take().is_some();
+        self.update_noise(&problem, &result, scan.stamp());
+        let becomes_keyframe = self.needs_keyframe(&result.keyframe_from_laser);
+        if let Ok(estimate) = result.estimate {
+            // Redo the update with the better pose. A scan that became a keyframe remains one.
+            let was_keyframe = self.pending_keyframe.take().is_some();
             self.counters.keyframes -= u64::from(was_keyframe);
             self.counters.finished_later += 1;
-            self.last = Some(attempt.last);
-            self.conclude(&scan, &attempt.base_from_laser, answer, becomes_keyframe || was_keyframe);
+            self.previous = Some(problem.previous);
+            self.commit(&scan, &problem.base_from_laser, estimate, becomes_keyframe || was_keyframe);
         }
     }
 
-    /// Matches a scan to the keyframe, from `start` on.
-    fn match_to(&mut self, keyframe: &Placement, scan: &Scan, attempt: &Attempt, start: Pose2, driver: &mut Driver) -> Found {
+    /// Matches a scan to the keyframe, starting from the pose `start`.
+    fn match_scan(
+        &mut self,
+        keyframe: &KeyframePose,
+        scan: &Scan,
+        problem: &MatchProblem,
+        start: Pose2,
+        runner: &mut ContractRunner,
+    ) -> MatchResult {
         let none = PoseCovariance::zeros();
-        let guess =
-            FirstGuess { pose: start, prior: Some(attempt.prior(keyframe, &none)), window: attempt.window(self.usual_agreement) };
+        let guess = FirstGuess {
+            pose: start,
+            prior: Some(problem.prior(keyframe, &none)),
+            window: problem.window(self.typical_agreement),
+        };
         let mut refinement = self.matcher.begin(scan, guess);
-        let stop_reason = driver.drive(&mut refinement);
+        let stop_reason = runner.run(&mut refinement);
         self.iterations.clear();
         self.iterations.extend_from_slice(refinement.trace());
         let uncertainty = refinement.uncertainty();
         let agreement = refinement.agreement();
         if let Some(agreement) = agreement {
-            self.usual_agreement += USUAL_WEIGHT * (agreement - self.usual_agreement);
+            self.typical_agreement += TYPICAL_WEIGHT * (agreement - self.typical_agreement);
         }
         let keyframe_from_laser = refinement.pose();
-        let base_heading = keyframe_from_laser.theta - attempt.base_from_laser.theta;
+        let base_heading = keyframe_from_laser.theta - problem.base_from_laser.theta;
         let report = report(&refinement, stop_reason, uncertainty.as_ref(), base_heading);
         let match_covariance = uncertainty.and_then(|known| known.covariance);
         let estimated_error = estimated_error(&refinement, match_covariance.as_ref());
@@ -428,38 +451,36 @@ impl LaserOdometry {
             self.matched_points = Some(matched_points(&refinement, &self.views, &keyframe.map_from_laser));
         }
         let map_from_laser = keyframe.map_from_laser * keyframe_from_laser;
-        let correction = attempt.predicted_laser().between(&map_from_laser);
-        if let Some(problem) = problem(&report, &correction, &self.knobs) {
-            return Found { report, keyframe_from_laser, agreement, answer: Err(problem) };
+        let correction = problem.predicted_laser().between(&map_from_laser);
+        if let Some(failure) = check_match(&report, &correction, &self.knobs) {
+            return MatchResult { report, keyframe_from_laser, agreement, estimate: Err(failure) };
         }
-        let alike = uncertainty::rays_alike(scan, report.rays_used);
-        let doubt = self.doubt(keyframe, attempt, &map_from_laser, scan.stamp());
-        let answer = Answer::matched(attempt, keyframe, &keyframe_from_laser, uncertainty.as_ref(), alike, &doubt);
-        Found {
+        let correlated = uncertainty::correlated_rays(scan, report.rays_used);
+        let inconsistency = self.inconsistency(problem, &map_from_laser, scan.stamp());
+        let estimate =
+            PoseEstimate::matched(problem, keyframe, &keyframe_from_laser, uncertainty.as_ref(), correlated, &inconsistency);
+        MatchResult {
             keyframe_from_laser,
             agreement,
-            answer: Ok(Answer { estimated_error, refinement: Some(report), ..answer }),
+            estimate: Ok(PoseEstimate { estimated_error, refinement: Some(report), ..estimate }),
             report,
         }
     }
 
-    /// What is doubtful of a match that has found the laser at `map_from_laser`: by odometry, and by how a robot can move.
-    fn doubt(&self, keyframe: &Placement, attempt: &Attempt, map_from_laser: &Pose2, stamp: Stamp) -> Doubt {
-        let map_from_base = *map_from_laser * attempt.base_from_laser.inverse();
-        let last = &attempt.last.map_from_base;
-        let step = last.between(&map_from_base);
-        let doubt =
-            Doubt::of_step(self.noise.odometry, attempt.said.as_ref(), &step).against(&attempt.expected, &step, last.theta);
-        let Approach { stamp: since, keyframe_from_base } = self.approach;
-        let Some(motion) = self.sources.motion_without_imu(since, stamp) else {
-            return Doubt { is_contradiction: false, ..doubt };
-        };
-        let covariance = uncertainty::of_wheels(&motion, stamp.seconds_since(since));
-        let start = keyframe.map_from_laser * keyframe_from_base;
-        doubt.against(&Prediction { motion, covariance }, &start.between(&map_from_base), start.theta)
+    /// How far a match that puts the laser at `map_from_laser` is inconsistent with odometry and with how a robot can move.
+    fn inconsistency(&self, problem: &MatchProblem, map_from_laser: &Pose2, stamp: Stamp) -> Inconsistency {
+        let map_from_base = *map_from_laser * problem.base_from_laser.inverse();
+        let previous = &problem.previous.map_from_base;
+        let step = previous.between(&map_from_base);
+        let inconsistency = Inconsistency::of_step(self.noise.odometry, problem.odometry.as_ref(), &step).and_against(
+            &problem.constant_velocity,
+            &step,
+            previous.theta,
+        );
+        self.recent_path.check(inconsistency, &self.sources, stamp, &map_from_base)
     }
 
-    /// An answer of which no more is known than this, in terms of the map.
+    /// A registration with this pose on the map, and nothing else known.
     fn registration(&self, outcome: Outcome, map_from_base: Pose2, covariance: &PoseCovariance) -> Registration {
         let odom_from_map = self.map_from_odom.inverse();
         Registration {
@@ -472,75 +493,83 @@ impl LaserOdometry {
             refinement: None,
             predicted_error: ErrorEstimate::UNKNOWN,
             estimated_error: ErrorEstimate::UNKNOWN,
-            disbelieved: self.noise.disbelieved(),
+            rejected_sources: self.noise.rejected_sources(),
             contradicts_odometry: false,
             new_keyframe: false,
         }
     }
 
-    /// What the answer for a scan taken at `stamp` says of the velocity, and whether the robot can have come to it by driving: a pose that
-    /// jumps, as when the robot is carried off, is no velocity unless it goes on like that.
-    fn motion(&self, stamp: Stamp, answer: &Answer) -> (Twist2, MotionState, bool) {
-        let Some(last) = self.last else { return (Twist2::default(), MotionState::unknown(&PoseCovariance::zeros()), true) };
-        let seconds = stamp.seconds_since(last.stamp);
-        let moved = last.map_from_base.between(&answer.map_from_base);
-        let seen = Twist2::of_motion(&moved, seconds);
-        let goes_on = [last.motion.twist, last.seen_twist].iter().any(|before| is_steady(before, &seen, seconds));
-        let expected = last.motion.expect(seconds);
-        let motion = match &answer.matched_covariance {
-            Some(known) if goes_on => expected.found(&moved, known),
-            Some(known) => expected.carried_off(known),
-            None => expected.unseen(),
+    /// The velocity measured by the estimate for a scan taken at `stamp`, the updated motion state, and whether the robot can
+    /// have reached the pose by driving. A jump of the pose, as when the robot is kidnapped, is not a velocity unless the motion
+    /// continues at that velocity.
+    fn updated_motion(&self, stamp: Stamp, estimate: &PoseEstimate) -> (Twist2, MotionState, bool) {
+        let Some(previous) = self.previous else {
+            return (Twist2::default(), MotionState::unknown(&PoseCovariance::zeros()), true);
         };
-        (seen, motion, goes_on)
+        let seconds = stamp.seconds_since(previous.stamp);
+        let moved = previous.map_from_base.between(&estimate.map_from_base);
+        let measured = Twist2::from_motion(&moved, seconds);
+        let is_continuous =
+            [previous.motion.twist, previous.measured_twist].iter().any(|before| is_reachable(before, &measured, seconds));
+        let predicted = previous.motion.predict(seconds);
+        let motion = match &estimate.matched_covariance {
+            Some(known) if is_continuous => predicted.updated(&moved, known),
+            Some(known) => predicted.kidnapped(known),
+            None => predicted.without_measurement(),
+        };
+        (measured, motion, is_continuous)
     }
 
-    fn conclude(&mut self, scan: &Scan, base_from_laser: &Pose2, answer: Answer, becomes_keyframe: bool) -> Registration {
-        let (seen_twist, motion, goes_on) = self.motion(scan.stamp(), &answer);
-        let is_lost = answer.is_lost || !goes_on;
-        let mean_twist = self.last.filter(|_| !goes_on).map_or(seen_twist, |last| last.mean_twist);
-        let seconds = self.last.map_or(0.0, |last| scan.stamp().seconds_since(last.stamp));
-        let weight = if self.usual_period > 0.0 { USUAL_WEIGHT } else { 1.0 };
-        self.usual_period += weight * (seconds - self.usual_period);
-        self.usual_twist = self.usual_twist.towards(&motion.twist, (seconds / USUAL_TIME).clamp(0.0, 1.0));
+    /// Updates the state by the estimate of a scan and returns its registration.
+    fn commit(&mut self, scan: &Scan, base_from_laser: &Pose2, estimate: PoseEstimate, becomes_keyframe: bool) -> Registration {
+        let (measured_twist, motion, is_continuous) = self.updated_motion(scan.stamp(), &estimate);
+        let is_lost = estimate.is_lost || !is_continuous;
+        let mean_twist = self.previous.filter(|_| !is_continuous).map_or(measured_twist, |previous| previous.mean_twist);
+        let seconds = self.previous.map_or(0.0, |previous| scan.stamp().seconds_since(previous.stamp));
+        let weight = if self.typical_period > 0.0 { TYPICAL_WEIGHT } else { 1.0 };
+        self.typical_period += weight * (seconds - self.typical_period);
+        self.typical_twist = self.typical_twist.interpolate(&motion.twist, (seconds / TYPICAL_TWIST_TIME).clamp(0.0, 1.0));
         let becomes_keyframe = becomes_keyframe || is_lost;
-        let map_from_laser = answer.map_from_base * *base_from_laser;
+        let map_from_laser = estimate.map_from_base * *base_from_laser;
         if becomes_keyframe {
             self.counters.keyframes += 1;
             let covariance =
-                uncertainty::compound(&answer.map_from_base, &answer.covariance, base_from_laser, &PoseCovariance::zeros());
-            let (stamp, base_from_laser, step_covariance) = (scan.stamp(), *base_from_laser, answer.step_covariance);
-            let place = Placement { stamp, map_from_laser, base_from_laser, covariance, step_covariance };
-            self.upcoming_keyframe = Some(UpcomingKeyframe { scan: scan.clone(), place, is_lost });
+                uncertainty::compound(&estimate.map_from_base, &estimate.covariance, base_from_laser, &PoseCovariance::zeros());
+            let (base_from_laser, step_covariance) = (*base_from_laser, estimate.step_covariance);
+            let by_scale = estimate.by_scale.at(map_from_laser.translation() - estimate.map_from_base.translation());
+            let pose = KeyframePose { map_from_laser, base_from_laser, covariance, by_scale, step_covariance };
+            self.pending_keyframe = Some(PendingKeyframe { scan: scan.clone(), pose, is_lost });
         }
-        self.last = Some(Last {
+        self.recent_path.push(scan.stamp(), estimate.map_from_base);
+        self.previous = Some(PreviousEstimate {
             stamp: scan.stamp(),
-            map_from_base: answer.map_from_base,
+            map_from_base: estimate.map_from_base,
             map_from_laser,
-            covariance: answer.covariance,
-            covariance_to_keyframe: if becomes_keyframe { PoseCovariance::zeros() } else { answer.covariance_to_keyframe },
-            seen_twist,
+            covariance: estimate.covariance,
+            by_scale: estimate.by_scale,
+            covariance_to_keyframe: if becomes_keyframe { PoseCovariance::zeros() } else { estimate.covariance_to_keyframe },
+            measured_twist,
             mean_twist,
             motion,
-            passed_over: false,
+            has_skipped_scan: false,
         });
         Registration {
             twist: motion.twist,
             twist_covariance: motion.twist_covariance(),
-            refinement: answer.refinement,
-            predicted_error: answer.predicted_error,
-            estimated_error: answer.estimated_error,
-            contradicts_odometry: answer.contradicts_odometry,
+            refinement: estimate.refinement,
+            predicted_error: estimate.predicted_error,
+            estimated_error: estimate.estimated_error,
+            contradicts_odometry: estimate.contradicts_odometry,
             new_keyframe: becomes_keyframe,
-            ..self.registration(answer.outcome, answer.map_from_base, &answer.covariance)
+            ..self.registration(estimate.outcome, estimate.map_from_base, &(estimate.covariance + estimate.by_scale.covariance()))
         }
     }
 }
 
-/// Whether a robot can come from one velocity to the other within `seconds`.
-fn is_steady(before: &Twist2, after: &Twist2, seconds: f64) -> bool {
+/// Whether a robot can change from one velocity to the other within `seconds`.
+fn is_reachable(before: &Twist2, after: &Twist2, seconds: f64) -> bool {
     let change = (after.vx - before.vx).hypot(after.vy - before.vy);
-    let turn_change = (after.omega - before.omega).abs();
+    let heading_rate_change = (after.omega - before.omega).abs();
     let within = |change: f64, jump: f64, acceleration: f64| change * seconds < jump + acceleration * seconds * seconds;
-    within(change, JUMP, MAX_ACCELERATION) && within(turn_change, TURN_JUMP, MAX_TURN_ACCELERATION)
+    within(change, MAX_POSITION_JUMP, MAX_ACCELERATION) && within(heading_rate_change, MAX_HEADING_JUMP, MAX_ANGULAR_ACCELERATION)
 }

@@ -1,47 +1,50 @@
-//! How the robot is expected to go on: a Kalman filter over the errors of its last pose and of its velocity (Kalman 1960), with white
-//! noise as acceleration, so that what is expected after a time is the same whether scans come often or seldom (Bar-Shalom, Li and
-//! Kirubarajan 2001, section 6.2).
+//! Motion model of the robot: a Kalman filter over the errors of pose and velocity (Kalman 1960) with white-noise acceleration,
+//! so that a prediction does not depend on the scan rate (Bar-Shalom, Li and Kirubarajan 2001, section 6.2).
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
 use super::prediction::Prediction;
-use super::uncertainty::{turn, turned, way_by_heading};
+use super::uncertainty::{pose_jacobian, rotated, rotation};
 use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
 
-/// Spectral density of the acceleration, forward and to the left, m^2/s^3: a car's, which brakes by 8 m/s^2 for half a second ...
-const ACCELERATION: f64 = 5.0;
-/// ... and of the turn's, rad^2/s^3.
-const TURN_ACCELERATION: f64 = 40.0;
-/// After a longer time nothing is left of a velocity, s; of a robot that has not been seen to move, so long ago it stood.
-const LONGEST: f64 = 1.0;
+/// Process noise: spectral density of the linear acceleration, m^2/s^3, as of a car that brakes at 8 m/s^2 for half a second.
+const ACCELERATION_NOISE: f64 = 5.0;
+/// Process noise: spectral density of the angular acceleration, rad^2/s^3.
+const ANGULAR_ACCELERATION_NOISE: f64 = 40.0;
+/// Maximum time over which the velocity is predicted, s; after that it is unknown. A robot whose motion is unknown is assumed to
+/// have stood still this long ago.
+const MAX_PREDICTION_TIME: f64 = 1.0;
 
-/// The velocity of the robot, and what is known of it together with its pose.
+/// Velocity of the robot, and the joint uncertainty of pose and velocity.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MotionState {
     /// Velocity of the base.
     pub(super) twist: Twist2,
-    /// Covariance of the errors of pose and velocity, in the frame of the base: m, m, rad, m/s, m/s, rad/s.
+    /// Covariance of the errors of pose and velocity, in the base frame: m, m, rad, m/s, m/s, rad/s.
     covariance: Matrix6<f64>,
 }
 
-/// Where the robot is expected to be some time later.
+/// A predicted motion and the state after it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Expected {
-    /// From the last pose to this one, seen from the former.
+pub(super) struct PredictedMotion {
+    /// Motion from the last pose, in the frame of that pose.
     motion: Pose2,
-    /// As it will be when nothing more is seen.
+    /// The predicted state, before any measurement.
     state: MotionState,
 }
 
 impl MotionState {
-    /// Of a robot of which nothing is known but that it cannot have sped up for longer than [`LONGEST`]. `covariance`: of its pose along
-    /// the axes of the base.
+    /// A robot whose velocity is unknown: it can have accelerated for [`MAX_PREDICTION_TIME`]. `covariance` is that of its pose,
+    /// along the axes of the base.
     pub(super) fn unknown(covariance: &PoseCovariance) -> Self {
-        Self { twist: Twist2::default(), covariance: blocks(covariance, &Matrix3::zeros(), &(white_noise() * LONGEST)) }
+        Self {
+            twist: Twist2::default(),
+            covariance: blocks(covariance, &Matrix3::zeros(), &(white_noise() * MAX_PREDICTION_TIME)),
+        }
     }
 
-    /// Of a robot that is supposed to move like this, though nothing is known of it.
-    pub(super) fn supposed(twist: Twist2) -> Self {
+    /// A robot that is assumed to have this velocity, with the uncertainty of an unknown one.
+    pub(super) fn assumed(twist: Twist2) -> Self {
         Self { twist, ..Self::unknown(&PoseCovariance::zeros()) }
     }
 
@@ -50,29 +53,29 @@ impl MotionState {
         self.covariance.fixed_view::<3, 3>(3, 3).into()
     }
 
-    /// After some time.
-    pub(super) fn expect(&self, seconds: f64) -> Expected {
-        let is_known = seconds <= LONGEST;
+    /// Predicts the motion over some time.
+    pub(super) fn predict(&self, seconds: f64) -> PredictedMotion {
+        let is_known = seconds <= MAX_PREDICTION_TIME;
         let twist = if is_known { self.twist } else { Twist2::default() };
         let motion = twist.motion(seconds);
-        // Errors of the pose are seen from its end, where the way there leads elsewhere by an error of the heading before.
-        let back = turn(-motion.theta);
-        let by_pose = back * way_by_heading(motion.translation());
-        // An error of the turn's rate becomes one of the heading on the way, and is felt from the middle of it on.
-        let by_twist = turn(-0.5 * motion.theta) * way_by_heading(0.5 * motion.translation()) * seconds;
-        let mut by_state = Matrix6::identity();
-        by_state.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_pose);
-        by_state.fixed_view_mut::<3, 3>(0, 3).copy_from(&by_twist);
-        // What noise does to the heading, it does later: for white noise, 3/8 of the way is left then.
-        let (noise, late) = (white_noise(), way_by_heading(0.375 * motion.translation()));
-        let of_pose = late * noise * late.transpose() * (seconds.powi(3) / 3.0);
-        let added = blocks(&of_pose, &(late * noise * (seconds.powi(2) / 2.0)), &(noise * seconds));
-        let covariance = by_state * self.covariance * by_state.transpose() + added;
+        // Errors of the pose are expressed in the frame of the new pose; an error of the heading also moves the position.
+        let back = rotation(-motion.theta);
+        let pose_transition = back * pose_jacobian(motion.translation());
+        // An error of the angular velocity becomes one of the heading, which affects the path from its middle on.
+        let twist_transition = rotation(-0.5 * motion.theta) * pose_jacobian(0.5 * motion.translation()) * seconds;
+        let mut transition = Matrix6::identity();
+        transition.fixed_view_mut::<3, 3>(0, 0).copy_from(&pose_transition);
+        transition.fixed_view_mut::<3, 3>(0, 3).copy_from(&twist_transition);
+        // The process noise affects the heading later: for white noise 3/8 of the distance is left then.
+        let (noise, lever_arm) = (white_noise(), pose_jacobian(0.375 * motion.translation()));
+        let pose_noise = lever_arm * noise * lever_arm.transpose() * (seconds.powi(3) / 3.0);
+        let added = blocks(&pose_noise, &(lever_arm * noise * (seconds.powi(2) / 2.0)), &(noise * seconds));
+        let covariance = transition * self.covariance * transition.transpose() + added;
         let mut state = Self { twist, covariance };
         if !is_known {
             state = Self::unknown(&state.pose_covariance());
         }
-        Expected { motion, state }
+        PredictedMotion { motion, state }
     }
 
     fn pose_covariance(&self) -> PoseCovariance {
@@ -80,25 +83,26 @@ impl MotionState {
     }
 }
 
-impl Expected {
-    /// The motion, with the covariance of where it ends, along the axes of its start.
+impl PredictedMotion {
+    /// The motion and the covariance of its end, along the axes of its start.
     pub(super) fn prediction(&self) -> Prediction {
-        Prediction { motion: self.motion, covariance: turned(&self.state.pose_covariance(), self.motion.theta) }
+        Prediction { motion: self.motion, covariance: rotated(&self.state.pose_covariance(), self.motion.theta) }
     }
 
-    /// The state where nothing was seen, or nothing that says how the robot came there.
-    pub(super) fn unseen(&self) -> MotionState {
+    /// The predicted state, if there is no measurement or none that tells how the robot moved.
+    pub(super) fn without_measurement(&self) -> MotionState {
         self.state
     }
 
-    /// The state when the robot was found to have moved by `motion`, `covariance` (along the axes of its end) being what is known of the pose then, from all that is known.
+    /// The state updated by a measured `motion`. `covariance` is that of the pose given prediction and measurement together,
+    /// along the axes of the motion's end.
     ///
-    /// What is learned of the pose is as much about the velocity as the two have to do with one another: the regression of the one on the
-    /// other is that of the Kalman gain, whatever the pose was learned from.
-    pub(super) fn found(&self, motion: &Pose2, covariance: &PoseCovariance) -> MotionState {
-        let (pose, both, twist) = (self.state.pose_covariance(), self.cross_covariance(), self.state.twist_covariance());
+    /// The velocity is updated by its correlation with the pose: the regression of the one on the other is that of the Kalman
+    /// gain, whatever the source of the pose.
+    pub(super) fn updated(&self, motion: &Pose2, covariance: &PoseCovariance) -> MotionState {
+        let (pose, cross, twist) = (self.state.pose_covariance(), self.cross_covariance(), self.state.twist_covariance());
         let Some(information) = pose.try_inverse() else { return self.state };
-        let gain = both.transpose() * information;
+        let gain = cross.transpose() * information;
         let error = self.motion.between(motion);
         let change = gain * Vector3::new(error.x, error.y, wrap_angle(error.theta));
         let Twist2 { vx, vy, omega } = self.state.twist;
@@ -110,8 +114,8 @@ impl Expected {
         }
     }
 
-    /// The state when the robot was found where it cannot have driven to: that says nothing of its velocity.
-    pub(super) fn carried_off(&self, covariance: &PoseCovariance) -> MotionState {
+    /// The state of a robot at a pose that it cannot have driven to: its velocity stays as predicted.
+    pub(super) fn kidnapped(&self, covariance: &PoseCovariance) -> MotionState {
         let MotionState { twist, .. } = self.state;
         MotionState { twist, covariance: blocks(covariance, &Matrix3::zeros(), &self.state.twist_covariance()) }
     }
@@ -121,22 +125,22 @@ impl Expected {
     }
 }
 
-/// Spectral density of the acceleration.
+/// Spectral density of the process noise.
 fn white_noise() -> Matrix3<f64> {
-    Matrix3::from_diagonal(&Vector3::new(ACCELERATION, ACCELERATION, TURN_ACCELERATION))
+    Matrix3::from_diagonal(&Vector3::new(ACCELERATION_NOISE, ACCELERATION_NOISE, ANGULAR_ACCELERATION_NOISE))
 }
 
 /// The covariance of pose and velocity, from its blocks.
-fn blocks(pose: &Matrix3<f64>, both: &Matrix3<f64>, twist: &Matrix3<f64>) -> Matrix6<f64> {
+fn blocks(pose: &Matrix3<f64>, cross: &Matrix3<f64>, twist: &Matrix3<f64>) -> Matrix6<f64> {
     let mut all = Matrix6::zeros();
     all.fixed_view_mut::<3, 3>(0, 0).copy_from(pose);
-    all.fixed_view_mut::<3, 3>(0, 3).copy_from(both);
-    all.fixed_view_mut::<3, 3>(3, 0).copy_from(&both.transpose());
+    all.fixed_view_mut::<3, 3>(0, 3).copy_from(cross);
+    all.fixed_view_mut::<3, 3>(3, 0).copy_from(&cross.transpose());
     all.fixed_view_mut::<3, 3>(3, 3).copy_from(twist);
     all
 }
 
-/// Without what rounding has made of symmetry.
+/// Makes a matrix symmetric again after rounding errors.
 fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
     0.5 * (matrix + matrix.transpose())
 }
@@ -146,36 +150,36 @@ mod tests {
     use super::*;
     use crate::odometry::uncertainty::diagonal;
 
-    /// What is left of a robot that drives straight on at `speed`, seen `rate` times a second for two seconds, exactly.
-    fn seen(speed: f64, rate: u32) -> MotionState {
+    /// The state after driving straight at `speed` for two seconds, measured exactly at `rate` Hz.
+    fn after_driving(speed: f64, rate: u32) -> MotionState {
         let known = diagonal(0.003, 0.001);
         let mut motion = MotionState::unknown(&known);
         let seconds = f64::from(rate).recip();
         for _ in 0..2 * rate {
             let step = Pose2::new(speed * seconds, 0.0, 0.0);
-            let expected = motion.expect(seconds);
-            let prior = expected.state.pose_covariance().try_inverse().unwrap();
-            let both = (known.try_inverse().unwrap() + prior).try_inverse().unwrap();
-            motion = expected.found(&step, &both);
+            let predicted = motion.predict(seconds);
+            let prior = predicted.state.pose_covariance().try_inverse().unwrap();
+            let fused = (known.try_inverse().unwrap() + prior).try_inverse().unwrap();
+            motion = predicted.updated(&step, &fused);
         }
         motion
     }
 
     #[test]
-    fn a_velocity_is_learned_at_any_rate() {
+    fn the_velocity_is_estimated_at_any_rate() {
         for rate in [5, 20, 40, 200, 1000] {
-            let Twist2 { vx, vy, omega } = seen(6.0, rate).twist;
+            let Twist2 { vx, vy, omega } = after_driving(6.0, rate).twist;
             assert!((vx - 6.0).abs() < 0.05 && vy.abs() < 1e-9 && omega.abs() < 1e-9, "{rate} Hz: {vx} m/s");
         }
     }
 
     #[test]
-    fn what_is_expected_later_does_not_depend_on_how_often_it_was_asked() {
-        let start = MotionState { twist: Twist2 { vx: 2.0, vy: 0.0, omega: 0.3 }, ..seen(2.0, 40) };
-        let at_once = start.expect(0.1);
+    fn predictions_do_not_depend_on_the_number_of_steps() {
+        let start = MotionState { twist: Twist2 { vx: 2.0, vy: 0.0, omega: 0.3 }, ..after_driving(2.0, 40) };
+        let at_once = start.predict(0.1);
         let mut motion = start;
         for _ in 0..100 {
-            motion = motion.expect(0.001).unseen();
+            motion = motion.predict(0.001).without_measurement();
         }
         let (once, often) = (at_once.state.pose_covariance(), motion.pose_covariance());
         assert!((once - often).norm() < 0.02 * once.norm(), "{once} {often}");
@@ -183,16 +187,16 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_left_of_a_velocity_after_a_long_time() {
-        let Prediction { motion, covariance } = seen(3.0, 40).expect(3.0).prediction();
+    fn the_velocity_is_unknown_after_a_long_time() {
+        let Prediction { motion, covariance } = after_driving(3.0, 40).predict(3.0).prediction();
         assert_eq!(motion, Pose2::IDENTITY);
         assert!(covariance.m11.sqrt() > 1.0);
     }
 
     #[test]
-    fn a_robot_that_was_carried_off_has_the_velocity_it_had() {
-        let before = seen(3.0, 40);
-        let after = before.expect(0.025).carried_off(&diagonal(0.003, 0.001));
+    fn a_kidnapped_robot_keeps_its_velocity() {
+        let before = after_driving(3.0, 40);
+        let after = before.predict(0.025).kidnapped(&diagonal(0.003, 0.001));
         assert_eq!(after.twist, before.twist);
         assert!(after.twist_covariance().m11 > before.twist_covariance().m11);
     }

@@ -1,8 +1,8 @@
-//! A motion that is expected, with its covariance.
+//! A predicted motion with its covariance.
 
 use crate::geometry::{Pose2, PoseCovariance};
 
-/// A motion of the base that is expected, seen from its start.
+/// A predicted motion of the base, in the frame of its start.
 #[derive(Clone, Copy)]
 pub(super) struct Prediction {
     /// The motion.
@@ -12,12 +12,12 @@ pub(super) struct Prediction {
 }
 
 impl Prediction {
-    /// None.
-    pub(super) const NONE: Self =
+    /// No motion, without uncertainty.
+    pub(super) const NO_MOTION: Self =
         Self { motion: Pose2::IDENTITY, covariance: PoseCovariance::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) };
 
-    /// What is known when another source says something of the same motion, with errors of its own (the Kalman filter's update).
-    pub(super) fn and(&self, other: &Self) -> Self {
+    /// Fuses two predictions of the same motion with independent errors (the Kalman filter's update).
+    pub(super) fn fused_with(&self, other: &Self) -> Self {
         let sum = self.covariance + other.covariance;
         let Some(information) = sum.try_inverse() else { return *self };
         let gain = self.covariance * information;

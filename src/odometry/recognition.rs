@@ -1,73 +1,81 @@
-//! Places of earlier on the path, recognised by the last keyframe: the map is put right.
+//! Loop closure: matches the latest keyframe to previously visited places and corrects the map.
 
-use super::local_map::Unrecognised;
-use super::loop_closure::{self, Sighting};
+use super::local_map::LoopCandidate;
+use super::loop_closure::{self, LoopMeasurement};
 use super::{LaserOdometry, uncertainty};
-use crate::anytime::Driver;
+use crate::anytime::ContractRunner;
 use crate::matching::{FirstGuess, StopReason};
 
 impl LaserOdometry {
-    /// Compares the last keyframe with those of long ago that seem to be around, if it has not been done; puts the map right by what
-    /// comes of it. The next scans are answered the better for it, but none needs to wait for it.
-    pub fn close_loop(&mut self, driver: &mut Driver) {
-        if !std::mem::take(&mut self.to_be_recognised) {
+    /// Matches the latest keyframe to earlier keyframes nearby, unless that has been done, and corrects the map by an accepted
+    /// loop closure. Later scans benefit from it, but need not wait for it.
+    pub fn close_loop(&mut self, runner: &mut ContractRunner) {
+        if !std::mem::take(&mut self.loop_check_pending) {
             return;
         }
-        if let Some(recognised) = self.unrecognised() {
-            match self.sight(&recognised, driver) {
-                // Again when there is more time.
-                None => self.to_be_recognised = true,
-                Some(sighting) if self.loop_closer.believes(&sighting) => self.recognise(&recognised, &sighting),
+        if let Some(candidate) = self.loop_candidate() {
+            match self.measure_loop(&candidate, runner) {
+                // Try again when there is more time.
+                None => self.loop_check_pending = true,
+                Some(measurement) if self.loop_verifier.accepts(&measurement) => {
+                    self.apply_loop_closure(&candidate, &measurement);
+                }
                 Some(_) => {}
             }
-            self.choose_views();
+            self.select_views();
         } else {
-            self.loop_closer.forget();
+            self.loop_verifier.reset();
         }
     }
 
-    /// The keyframes to compare the last one with, as `views`; none while scans are matched to such keyframes anyway.
-    pub(super) fn unrecognised(&mut self) -> Option<Unrecognised> {
-        let (place, _) = self.map.last().filter(|_| self.map.is_exploring())?;
-        self.map.unrecognised_around(&place, self.knobs.views as usize, &mut self.views)
+    /// The earlier keyframes to match the latest one to, as `views`; `None` while scans are matched to earlier keyframes anyway.
+    pub(super) fn loop_candidate(&mut self) -> Option<LoopCandidate> {
+        let (pose, _) = self.map.last().filter(|_| self.map.is_exploring())?;
+        self.map.loop_candidate(&pose, self.knobs.views as usize, &mut self.views)
     }
 
-    /// Matches the last keyframe to `views`, the first of which was taken at `earlier`; `None`: there was no time for it.
-    pub(super) fn sight(&mut self, earlier: &Unrecognised, driver: &mut Driver) -> Option<Sighting> {
-        let (by_path, view) = self.map.last()?;
+    /// Matches the latest keyframe to `views`, the first of which is `candidate`; `None` if there was no time for it.
+    pub(super) fn measure_loop(&mut self, candidate: &LoopCandidate, runner: &mut ContractRunner) -> Option<LoopMeasurement> {
+        let (path_pose, view) = self.map.last()?;
         self.matcher.set_views(&self.views);
-        let pose = earlier.map_from_laser.between(&by_path);
-        let guess = FirstGuess { pose, prior: None, window: loop_closure::window(self.map.free_way(earlier)) };
+        let pose = candidate.map_from_laser.between(&path_pose);
+        let guess = FirstGuess { pose, prior: None, window: loop_closure::window(self.map.drift_length(candidate)) };
         let mut refinement = self.matcher.begin(view.scan(), guess);
-        if driver.drive(&mut refinement) == StopReason::Interrupted {
+        if runner.run(&mut refinement) == StopReason::Interrupted {
             return None;
         }
-        let by_earlier = earlier.map_from_laser * refinement.pose();
+        let measured_pose = candidate.map_from_laser * refinement.pose();
         let agreement = refinement.agreement().unwrap_or_default();
         let rays = refinement.trace().last().map_or(0, |last| last.rays);
-        let alike = uncertainty::rays_alike(view.scan(), rays);
-        let information = refinement.uncertainty().and_then(|known| known.information).unwrap_or_default() / alike;
-        let information = uncertainty::turned(&information, earlier.map_from_laser.theta);
-        Some(Sighting { by_path, by_earlier, agreement, information })
+        let correlated = uncertainty::correlated_rays(view.scan(), rays);
+        let information = refinement.uncertainty().and_then(|known| known.information).unwrap_or_default() / correlated;
+        let information = uncertainty::rotated(&information, candidate.map_from_laser.theta);
+        Some(LoopMeasurement { path_pose, measured_pose, agreement, information })
     }
 
-    pub(super) fn recognise(&mut self, earlier: &Unrecognised, sighting: &Sighting) {
+    /// Applies an accepted loop closure: links the keyframes, and corrects the path, the pose and their covariances.
+    pub(super) fn apply_loop_closure(&mut self, candidate: &LoopCandidate, measurement: &LoopMeasurement) {
         self.counters.closed_loops += 1;
-        let (map_from_laser, left) = sighting.weighed(&self.map.drift_covariance(earlier));
-        self.map.link(earlier);
-        self.map.correct(earlier, &map_from_laser);
-        let correction = map_from_laser * sighting.by_path.inverse();
-        if let Some(last) = &mut self.last {
-            // On the map the pose is known from there on as the earlier keyframe's is, and as well as from there; in odom as it was.
+        let (map_from_laser, remaining) = measurement.fused(&self.map.drift_covariance(candidate));
+        self.map.link(candidate);
+        self.map.correct(candidate, &map_from_laser);
+        let correction = map_from_laser * measurement.path_pose.inverse();
+        if let Some(previous) = &mut self.previous {
+            // On the map the uncertainty is now that of the earlier keyframe plus the remaining one relative to it; in odom it
+            // does not change.
             let odom_from_map = self.map_from_odom.inverse();
-            let in_odom = uncertainty::compound(&odom_from_map, &self.drift_covariance, &last.map_from_base, &last.covariance);
-            last.covariance = earlier.covariance + left;
-            let way = odom_from_map.transform().rotate(last.map_from_base.translation());
-            let drift = in_odom - uncertainty::turned(&last.covariance, odom_from_map.theta);
-            self.drift_covariance = uncertainty::carried(&uncertainty::positive(&drift), -way);
-            last.map_from_base = correction * last.map_from_base;
-            last.map_from_laser = correction * last.map_from_laser;
+            let before = previous.total_covariance();
+            let in_odom = uncertainty::compound(&odom_from_map, &self.drift_covariance, &previous.map_from_base, &before);
+            previous.covariance = candidate.covariance + remaining;
+            let map_from_base = correction * previous.map_from_base;
+            previous.by_scale = candidate.by_scale.at(map_from_base.translation() - candidate.map_from_laser.translation());
+            let offset = odom_from_map.transform().rotate(previous.map_from_base.translation());
+            let drift = in_odom - uncertainty::rotated(&previous.total_covariance(), odom_from_map.theta);
+            self.drift_covariance = uncertainty::propagated(&uncertainty::positive_part(&drift), -offset);
+            previous.map_from_base = map_from_base;
+            previous.map_from_laser = correction * previous.map_from_laser;
         }
+        self.recent_path.correct(&correction);
         self.map_from_odom = correction * self.map_from_odom;
     }
 }

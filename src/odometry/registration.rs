@@ -1,4 +1,4 @@
-//! What laser odometry answers.
+//! The output of laser odometry.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::fmt;
@@ -7,59 +7,59 @@ use crate::anytime::ErrorEstimate;
 use crate::geometry::{Point, Pose2, PoseCovariance, Twist2};
 use crate::matching::{PlacedView, Refinement, StopReason, Uncertainty};
 
-/// How an answer came about.
+/// How a pose was obtained.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
     /// By a match.
     Matched,
-    /// First scan of a run: the pose is the one the run starts at.
+    /// First scan of a run: the pose is the start pose of the run.
     First,
-    /// There was no match to be had; the pose is the prediction.
+    /// The match failed; the pose is the prediction.
     Predicted(Failure),
 }
 
 crate::choices! {
     /// Why a scan was not matched.
     pub enum FailureReason {
-        /// It has the stamp of the scan before.
+        /// It has the stamp of the previous scan.
         DuplicateStamp = "duplicate_stamp",
-        /// Its stamp is before that of the last scan.
+        /// Its stamp is older than that of the previous scan.
         OutOfOrder = "out_of_order",
-        /// The message is no usable scan.
+        /// The message is not a valid scan.
         MalformedScan = "malformed_scan",
-        /// The laser does not look along the floor.
+        /// The laser does not scan in a horizontal plane.
         TiltedMount = "tilted_mount",
         /// It does not fit the reference.
         TooFewCorrespondences = "too_few_correspondences",
-        /// The correspondences determine no pose.
+        /// The correspondences do not determine a pose.
         Singular = "singular",
-        /// The answer was called for before the first iteration.
+        /// The answer was requested before the first iteration.
         Interrupted = "interrupted",
         /// The time budget left no time for an iteration.
         NoTime = "no_time",
-        /// The match corrects the prediction by more than is believed.
+        /// The match corrects the prediction by more than the limit.
         CorrectionTooLarge = "correction_too_large",
     }
 }
 
 impl FailureReason {
-    /// Whether the scan does not fit where it was expected.
+    /// Whether the scan did not fit at the predicted pose.
     pub(super) fn is_no_fit(self) -> bool {
         matches!(self, Self::TooFewCorrespondences | Self::CorrectionTooLarge)
     }
 }
 
-/// Why a scan was not matched, for programs and in words.
+/// Why a scan was not matched.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Failure {
-    /// The kind.
+    /// The reason, for programs.
     pub reason: FailureReason,
-    /// In words, with figures.
+    /// The reason as a sentence, with numbers.
     pub text: String,
 }
 
 impl Failure {
-    /// A failure.
+    /// Creates a failure.
     pub fn new(reason: FailureReason, text: impl Into<String>) -> Self {
         Self { reason, text: text.into() }
     }
@@ -72,39 +72,39 @@ impl fmt::Display for Failure {
 }
 
 impl Outcome {
-    /// Whether the pose is to be relied on.
+    /// Whether the pose is reliable.
     pub fn is_ok(&self) -> bool {
         !matches!(self, Self::Predicted(_))
     }
 }
 
-/// The answer to one scan.
+/// The registration of one scan.
 #[derive(Clone, Debug)]
 pub struct Registration {
-    /// How the answer came about.
+    /// How the pose was obtained.
     pub outcome: Outcome,
-    /// Pose of the base where it never jumps.
+    /// Pose of the base in the odom frame, in which it never jumps.
     pub odom_from_base: Pose2,
-    /// Where that frame is on the map: the identity until a place is recognised.
+    /// Pose of the odom frame on the map: the identity until a loop is closed.
     pub map_from_odom: Pose2,
-    /// Covariance of the pose of the base, in the odom frame: grows along the way, as an odometry's does.
+    /// Covariance of the base's pose in the odom frame: grows along the path, as that of any odometry.
     pub covariance: PoseCovariance,
     /// Velocity of the base, in the base frame.
     pub twist: Twist2,
     /// Covariance of the velocity, in the base frame.
     pub twist_covariance: PoseCovariance,
-    /// What the refinement did; `None` when there was none.
+    /// What the refinement did; `None` if there was none.
     pub refinement: Option<RefinementReport>,
     /// Error of the first guess.
     pub predicted_error: ErrorEstimate,
-    /// Error of this answer in itself, not of the way up to here.
+    /// Error of this match alone, without the error of the path before it.
     pub estimated_error: ErrorEstimate,
-    /// The sources of motion that are not believed from here on.
-    pub disbelieved: Disbelieved,
-    /// The answer is a match which contradicts what the odometry says of the way since the scans before were first matched to the same
-    /// keyframe: one of the two is wrong, as where wheels slip or most rays see something that goes along with the laser.
+    /// The sources of motion that are rejected from here on.
+    pub rejected_sources: RejectedSources,
+    /// The match contradicts the odometry's motion since scans were first matched to this keyframe. One of the two is wrong:
+    /// wheels slip, or most rays hit something that moves along with the laser.
     pub contradicts_odometry: bool,
-    /// Whether the scan becomes the reference of the next ones.
+    /// Whether the scan becomes a keyframe.
     pub new_keyframe: bool,
 }
 
@@ -115,59 +115,59 @@ impl Registration {
     }
 }
 
-/// The sources of motion that the last matches contradict: next to nothing is made of what they say until some agree.
+/// The sources of motion that the latest matches contradict: they get almost no weight until matches agree with them again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Disbelieved {
-    /// What says where the base is: wheel odometry, another node's transforms, a velocity.
+pub struct RejectedSources {
+    /// Sources of position: wheel odometry, another node's transforms, a velocity.
     pub odometry: bool,
-    /// What says how it turns.
+    /// The IMU, as a source of rotation.
     pub imu: bool,
 }
 
-impl Disbelieved {
-    /// Their names.
+impl RejectedSources {
+    /// Names of the rejected sources.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
-        [("odometry", self.odometry), ("imu", self.imu)].into_iter().filter_map(|(name, disbelieved)| disbelieved.then_some(name))
+        [("odometry", self.odometry), ("imu", self.imu)].into_iter().filter_map(|(name, rejected)| rejected.then_some(name))
     }
 }
 
 /// What a refinement did.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RefinementReport {
-    /// What ended it.
+    /// Why it stopped.
     pub stop_reason: StopReason,
-    /// Iterations made.
+    /// Number of iterations.
     pub iterations: u32,
-    /// Sensed rays that carry a measurement.
+    /// Rays of the scan with a valid measurement.
     pub rays: u32,
-    /// Those that took part in the last iteration.
+    /// Rays used in the last iteration.
     pub rays_used: u32,
-    /// Of those, the ones with a partner.
+    /// Rays with a correspondence.
     pub correspondences: u32,
-    /// Of those, the ones that fixed the pose.
+    /// Correspondences that determined the pose.
     pub inliers: u32,
-    /// Mean absolute error of the inliers, m.
+    /// Mean absolute residual of the inliers, m.
     pub mean_residual: f64,
-    /// Of the information matrix; infinite where a direction is left open.
+    /// Condition number of the information matrix; infinite if a direction is unconstrained.
     pub condition_number: f64,
-    /// That direction, seen from the base: 0 is straight ahead, rad, more than -pi/2 and at most pi/2.
+    /// The unconstrained direction in the base frame, rad: 0 is forward, in (-pi/2, pi/2].
     pub free_direction: Option<f64>,
 }
 
-/// Matched points for display: sensed points moved to their place and their reference points, in the map frame, m.
+/// Matched points for display, in the map frame, m: points of the scan at the estimated pose, and the reference points.
 #[derive(Clone, Debug, Default)]
 pub struct MatchedPoints {
-    /// All points of the reference scan.
+    /// All points of the reference.
     pub reference: Vec<Point>,
-    /// Sensed point and its partner.
+    /// Point of the scan and the reference point matched to it.
     pub pairs: Vec<(Point, Point)>,
 }
 
-/// What a refinement did that ended for `stop_reason`. `base_heading`: of the base, in the reference frame, rad.
+/// Report of a refinement that stopped for `stop_reason`. `base_heading` is the heading of the base in the reference frame, rad.
 pub(super) fn report(
     refinement: &Refinement,
     stop_reason: StopReason,
-    known: Option<&Uncertainty>,
+    uncertainty: Option<&Uncertainty>,
     base_heading: f64,
 ) -> RefinementReport {
     let last = refinement.trace().last().copied().unwrap_or_default();
@@ -180,18 +180,20 @@ pub(super) fn report(
         correspondences: last.correspondences,
         inliers: last.inliers,
         mean_residual: last.mean_residual,
-        condition_number: known.map_or(f64::INFINITY, |known| known.condition_number),
-        free_direction: known.and_then(|known| known.free_direction).map(|open| half_turn(open.y.atan2(open.x) - base_heading)),
+        condition_number: uncertainty.map_or(f64::INFINITY, |known| known.condition_number),
+        free_direction: uncertainty
+            .and_then(|known| known.free_direction)
+            .map(|open| half_turn(open.y.atan2(open.x) - base_heading)),
     }
 }
 
-/// The direction of a line, which has two: more than -pi/2 and at most pi/2.
+/// Normalizes the direction of a line, which has no sign, to (-pi/2, pi/2].
 fn half_turn(angle: f64) -> f64 {
     let angle = angle.rem_euclid(PI);
     if angle > FRAC_PI_2 { angle - PI } else { angle }
 }
 
-/// The matched points of a refinement, whose reference frame is the keyframe's.
+/// The matched points of a refinement in the keyframe's frame.
 pub(super) fn matched_points(refinement: &Refinement, views: &[PlacedView], map_from_keyframe: &Pose2) -> MatchedPoints {
     let transform = map_from_keyframe.transform();
     let mut pairs = Vec::new();

@@ -1,49 +1,51 @@
-//! A pose that somebody has set, as in `RViz`: the odometry goes on from there.
+//! A pose set by the user, as in `RViz`: the odometry continues from there.
 //!
-//! In a simulator the same message moves the robot, and nobody tells which scan is the first one of the new place: the one that is
-//! taken for it may still be of the old place. So its place as the reference is on probation. A scan that does not go on from it by any
-//! motion of a robot was taken at the new place: it becomes the reference instead, at the pose that was set.
+//! In a simulator the same message moves the robot, and it is unknown which scan is the first one of the new place: the scan
+//! taken for it may still show the old place. So the new reference is on probation. A scan that no robot motion can connect to it
+//! was taken at the new place; it replaces the reference, at the pose that was set.
 
-use super::attempt::{Attempt, Last};
+use super::match_problem::{MatchProblem, PreviousEstimate};
 use super::motion_state::MotionState;
 use super::prediction::Prediction;
 use super::registration::Registration;
-use super::{Found, LaserOdometry, is_steady, uncertainty};
+use super::scale_error::ScaleJacobian;
+use super::{LaserOdometry, MatchResult, is_reachable, uncertainty};
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::scan::Scan;
 use crate::time::Stamp;
 
-/// For so long after the pose its reference may turn out to be of another place, s: subscribers hear of a pose some 0.1 s apart.
+/// How long after the pose the reference may still be replaced, s: subscribers receive a set pose within about 0.1 s of each
+/// other.
 const PROBATION: f64 = 1.0;
-/// A robot is taken to have gone on as before for so long, s.
-const LONGEST_GAP: f64 = 1.0;
-/// The part of the rays that agree is below what is usual by this much: the scan is of another place.
-const DISAGREEING: f64 = 0.15;
+/// Maximum time over which the robot is assumed to have kept its velocity, s.
+const MAX_GAP: f64 = 1.0;
+/// A scan whose agreement is this far below the typical one shows another place.
+const MIN_AGREEMENT_DROP: f64 = 0.15;
 
 /// The pose that was set.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SetPose {
     map_from_base: Pose2,
     /// When the robot was there.
-    held_at: Stamp,
-    /// The part of the rays that usually agree with the reference.
-    usual_agreement: f64,
-    /// The last scan agreed less.
+    stamp: Stamp,
+    /// Typical fraction of rays that agree with the reference.
+    typical_agreement: f64,
+    /// The agreement of the previous scan was too low.
     disagreed: bool,
 }
 
 impl SetPose {
     fn is_on_probation(&self, stamp: Stamp) -> bool {
-        (0.0..=PROBATION).contains(&stamp.seconds_since(self.held_at))
+        (0.0..=PROBATION).contains(&stamp.seconds_since(self.stamp))
     }
 
-    /// Whether fewer rays agree than usual. Where that is so twice in a row, though the first time the reference was replaced, so few
-    /// agree in this place.
-    fn is_unlike_usual(&mut self, agreement: Option<f64>) -> bool {
+    /// Whether the agreement is unusually low. If it is so twice in a row, although the reference was replaced after the first
+    /// time, a low agreement is typical of this place.
+    fn is_agreement_unusual(&mut self, agreement: Option<f64>) -> bool {
         let Some(agreement) = agreement else { return false };
-        let disagrees = agreement < self.usual_agreement - DISAGREEING;
+        let disagrees = agreement < self.typical_agreement - MIN_AGREEMENT_DROP;
         if disagrees && self.disagreed {
-            self.usual_agreement = agreement;
+            self.typical_agreement = agreement;
         }
         self.disagreed = disagrees && !self.disagreed;
         self.disagreed
@@ -51,75 +53,83 @@ impl SetPose {
 }
 
 impl LaserOdometry {
-    /// Goes on from a pose that the robot had when `held_at`: the next scan is the first one, and takes the robot's motion since then
-    /// into account. Map and odom are one again.
-    pub fn set_pose(&mut self, map_from_base: Pose2, held_at: Stamp) {
-        let usual_agreement = self.usual_agreement;
+    /// Continues from a pose that the robot had at `stamp`: the next scan becomes the first one, at that pose moved on by the
+    /// robot's motion since then. Map and odom coincide again.
+    pub fn set_pose(&mut self, map_from_base: Pose2, stamp: Stamp) {
+        let typical_agreement = self.typical_agreement;
         self.restart_at(map_from_base);
-        self.set_pose = Some(SetPose { map_from_base, held_at, usual_agreement, disagreed: false });
+        self.set_pose = Some(SetPose { map_from_base, stamp, typical_agreement, disagreed: false });
     }
 
-    /// The answer for the first scan after a pose was set, if this is one.
-    pub(super) fn answer_at_set_pose(&mut self, scan: &Scan, base_from_laser: &Pose2) -> Option<Registration> {
-        let set = self.set_pose.filter(|_| self.last.is_none())?;
-        // After a long silence nothing is known of the motion since.
-        let seconds = scan.stamp().seconds_since(set.held_at);
-        let since = if (0.0..=LONGEST_GAP).contains(&seconds) { set.held_at } else { scan.stamp() };
+    /// The registration of the first scan after a pose was set; `None` if this is another scan.
+    pub(super) fn register_at_set_pose(&mut self, scan: &Scan, base_from_laser: &Pose2) -> Option<Registration> {
+        let set = self.set_pose.filter(|_| self.previous.is_none())?;
+        // After a long gap the motion since then is unknown.
+        let seconds = scan.stamp().seconds_since(set.stamp);
+        let since = if (0.0..=MAX_GAP).contains(&seconds) { set.stamp } else { scan.stamp() };
         Some(self.begin_from(&set, scan, base_from_laser, since))
     }
 
-    /// Whether a match shows that the reference is not of the place that was set.
-    pub(super) fn is_reference_refuted(&mut self, attempt: &Attempt, found: &Found, stamp: Stamp) -> bool {
+    /// Whether a match shows that the reference was not taken at the pose that was set.
+    pub(super) fn is_reference_refuted(&mut self, problem: &MatchProblem, result: &MatchResult, stamp: Stamp) -> bool {
         let Some(set) = self.set_pose.as_mut().filter(|set| set.is_on_probation(stamp)) else { return false };
-        let (seen, seconds) = seen_twist_of(attempt, found, stamp);
-        let jumps = [attempt.last.motion.twist, attempt.last.seen_twist].iter().all(|twist| !is_steady(twist, &seen, seconds));
-        set.is_unlike_usual(found.agreement) || found.answer.is_err() || jumps
+        let (measured, seconds) = measured_twist_of(problem, result, stamp);
+        let jumps = [problem.previous.motion.twist, problem.previous.measured_twist]
+            .iter()
+            .all(|twist| !is_reachable(twist, &measured, seconds));
+        set.is_agreement_unusual(result.agreement) || result.estimate.is_err() || jumps
     }
 
-    /// The scan that refutes the reference takes its place.
-    pub(super) fn replace_reference(&mut self, scan: &Scan, attempt: &Attempt, found: &Found) -> Option<Registration> {
+    /// Replaces the reference by the scan that refutes it.
+    pub(super) fn replace_reference(
+        &mut self,
+        scan: &Scan,
+        problem: &MatchProblem,
+        result: &MatchResult,
+    ) -> Option<Registration> {
         let set = self.set_pose?;
-        let (seen, _) = seen_twist_of(attempt, found, scan.stamp());
+        let (measured, _) = measured_twist_of(problem, result, scan.stamp());
         self.forget_reference();
-        // The robot has come here since the last scan.
-        let answer = self.begin_from(&set, scan, &attempt.base_from_laser, attempt.last.stamp);
-        if let Some(last) = &mut self.last {
-            last.seen_twist = seen; // where it goes on like that, the robot's motion was not known before
+        // The robot was moved here after the previous scan.
+        let registration = self.begin_from(&set, scan, &problem.base_from_laser, problem.previous.stamp);
+        if let Some(previous) = &mut self.previous {
+            previous.measured_twist = measured; // if the motion continues like this, the assumed velocity was wrong
         }
-        Some(answer)
+        Some(registration)
     }
 
-    /// The answer for a scan that is the first one; the robot was at the pose that was set when it was `since`, and moves as it did.
+    /// Registers a scan as the first one. The robot was at the pose that was set at time `since`, and keeps its velocity.
     fn begin_from(&mut self, set: &SetPose, scan: &Scan, base_from_laser: &Pose2, since: Stamp) -> Registration {
-        let (seconds, twist, none) = (scan.stamp().seconds_since(since), self.usual_twist, PoseCovariance::zeros());
+        let (seconds, twist, none) = (scan.stamp().seconds_since(since), self.typical_twist, PoseCovariance::zeros());
         if seconds <= 0.0 {
-            self.last = None;
-            return self.answer_first(scan, base_from_laser, set.map_from_base, none);
+            self.previous = None;
+            return self.register_first(scan, base_from_laser, set.map_from_base, none);
         }
-        let goes_on = MotionState::supposed(twist);
-        let Prediction { motion, covariance } = goes_on.expect(seconds).prediction();
+        let state = MotionState::assumed(twist);
+        let Prediction { motion, covariance } = state.predict(seconds).prediction();
         let (map_from_base, map_from_laser) = (set.map_from_base, set.map_from_base * *base_from_laser);
-        self.last = Some(Last {
+        self.previous = Some(PreviousEstimate {
             stamp: since,
             map_from_base,
             map_from_laser,
             covariance: none,
+            by_scale: ScaleJacobian::NONE,
             covariance_to_keyframe: none,
-            seen_twist: twist,
+            measured_twist: twist,
             mean_twist: twist,
-            motion: goes_on,
-            passed_over: false,
+            motion: state,
+            has_skipped_scan: false,
         });
         let covariance = uncertainty::compound(&set.map_from_base, &none, &motion, &covariance);
-        self.answer_first(scan, base_from_laser, set.map_from_base * motion, covariance)
+        self.register_first(scan, base_from_laser, set.map_from_base * motion, covariance)
     }
 }
 
-/// The velocity that leads from the last answer to what a match has come to, and the time that took, s.
-fn seen_twist_of(attempt: &Attempt, found: &Found, stamp: Stamp) -> (Twist2, f64) {
-    let seconds = stamp.seconds_since(attempt.last.stamp);
-    let motion = found.answer.as_ref().map(|answer| attempt.last.map_from_base.between(&answer.map_from_base));
-    (motion.map_or(attempt.last.seen_twist, |motion| Twist2::of_motion(&motion, seconds)), seconds)
+/// The velocity from the previous estimate to the match result, and the time between them, s.
+fn measured_twist_of(problem: &MatchProblem, result: &MatchResult, stamp: Stamp) -> (Twist2, f64) {
+    let seconds = stamp.seconds_since(problem.previous.stamp);
+    let motion = result.estimate.as_ref().map(|estimate| problem.previous.map_from_base.between(&estimate.map_from_base));
+    (motion.map_or(problem.previous.measured_twist, |motion| Twist2::from_motion(&motion, seconds)), seconds)
 }
 
 #[cfg(test)]
@@ -127,13 +137,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_scan_that_disagrees_is_of_another_place_and_two_are_usual_here() {
+    fn one_scan_that_disagrees_shows_another_place_but_two_are_typical_here() {
         let pose = Pose2::IDENTITY;
-        let mut set = SetPose { map_from_base: pose, held_at: Stamp::default(), usual_agreement: 0.95, disagreed: false };
-        let mut answers =
-            |agreements: &[f64]| agreements.iter().map(|share| set.is_unlike_usual(Some(*share))).collect::<Vec<_>>();
+        let mut set = SetPose { map_from_base: pose, stamp: Stamp::default(), typical_agreement: 0.95, disagreed: false };
+        let mut answers = |agreements: &[f64]| {
+            agreements.iter().map(|agreement| set.is_agreement_unusual(Some(*agreement))).collect::<Vec<_>>()
+        };
         assert_eq!(answers(&[0.9, 0.5, 0.94, 0.6]), [false, true, false, true]);
         assert_eq!(answers(&[0.6, 0.62, 0.3]), [false, false, true]);
-        assert!(!set.is_unlike_usual(None));
+        assert!(!set.is_agreement_unusual(None));
     }
 }

@@ -1,28 +1,28 @@
-//! How wrong a source of motion is, learned from the matches, each source for itself: wheels that slip, or that count up while the robot
-//! backs, say the same wrong thing for seconds (the latter is in the fr079 log), and a velocity is none where stamps jitter. A prior that
-//! is wrong scan after scan and claims to be right drags the matches along until they fit nothing.
+//! Learns how accurate each source of motion is from the matches. Wheels that slip, or that count up while the robot reverses,
+//! are wrong for seconds (the latter happens in the fr079 log), and a velocity is meaningless if stamps jitter. A prior that is
+//! wrong scan after scan but claims to be accurate drags the matches along until nothing fits.
 //!
-//! The covariance that a source's model claims is multiplied by how much the squared errors of the last steps exceed it: the noise
-//! adaptive Kalman filter's estimate from innovations (Mehra 1970), that only ever adds noise.
+//! The covariance of a source's model is multiplied by the ratio of the latest squared errors to it: noise adaptation of a Kalman
+//! filter by its innovations (Mehra 1970), restricted to adding noise.
 
 use nalgebra::Vector3;
 
 use super::prediction::Prediction;
-use super::registration::Disbelieved;
+use super::registration::RejectedSources;
 use crate::geometry::Pose2;
 
-/// A source whose last steps err by three times what its model claims is worth next to nothing.
-const DISBELIEVED: f64 = 9.0;
-/// Weight of the last step in the learned noise: after four steps most of it is new.
-const WEIGHT: f64 = 0.25;
-/// A step that errs by more standard deviations than this counts as one that errs by so many: one jump is forgotten within a dozen.
-const CLIPPED: f64 = 20.0;
+/// Noise factor from which a source is rejected: its latest steps err by three times what its model claims.
+const REJECTION_FACTOR: f64 = 9.0;
+/// Weight of the latest step in the learned noise: after four steps most of it is new.
+const UPDATE_WEIGHT: f64 = 0.25;
+/// Maximum normalized innovation of a step: larger ones are clipped, so that a single jump is forgotten within a dozen steps.
+const MAX_INNOVATION: f64 = 20.0;
 
-/// Two motions whose difference has a greater square, in standard deviations, contradict one another: one in a hundred does that are right
-/// (chi-squared, three degrees of freedom). From 6 to 16 do alike, the less by far where stamps jitter.
-const CONTRADICTION: f64 = 11.3;
+/// Squared Mahalanobis distance above which odometry contradicts the velocity: 1 % of correct ones exceed it (chi-squared, three
+/// degrees of freedom). From 6 to 16 works equally well, except that lower values are far better if stamps jitter.
+const GATE: f64 = 11.3;
 
-/// What the last steps say of a source.
+/// Learned noise of one source.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SourceNoise {
     factor: f64,
@@ -35,70 +35,71 @@ impl Default for SourceNoise {
 }
 
 impl SourceNoise {
-    /// So many times the covariance that its model claims is that of what it says; at least 1.
+    /// Factor for the covariance of the source's model, at least 1.
     pub(super) fn factor(self) -> f64 {
         self.factor
     }
 
-    /// Whether the last steps contradict it: next to nothing is made of what it says.
-    pub(super) fn is_disbelieved(self) -> bool {
-        self.factor >= DISBELIEVED
+    /// Whether the latest steps contradict the source, so that it gets almost no weight.
+    pub(super) fn is_rejected(self) -> bool {
+        self.factor >= REJECTION_FACTOR
     }
 
-    /// So many times its covariance is what a match may err by that differs from the source by so many standard deviations of the source's
-    /// model: which of the two is wrong, nobody knows.
-    pub(super) fn doubt(self, deviation: f64) -> f64 {
-        self.factor.max(deviation.min(CLIPPED).powi(2))
+    /// Factor by which to inflate the covariance of a match that differs from the source by this normalized innovation, since it
+    /// is unknown which of the two is wrong.
+    pub(super) fn inflation(self, normalized_innovation: f64) -> f64 {
+        self.factor.max(normalized_innovation.min(MAX_INNOVATION).powi(2))
     }
 
-    /// What the matches make of a step: it errs by so many standard deviations of the model, in the mean over its coordinates.
-    pub(super) fn judge(&mut self, deviation: f64) {
-        let seen = deviation.min(CLIPPED).powi(2);
-        self.factor = (self.factor + WEIGHT * (seen - self.factor)).max(1.0);
+    /// Updates the noise by the normalized innovation of one step.
+    pub(super) fn update(&mut self, normalized_innovation: f64) {
+        let squared = normalized_innovation.min(MAX_INNOVATION).powi(2);
+        self.factor = (self.factor + UPDATE_WEIGHT * (squared - self.factor)).max(1.0);
     }
 }
 
-/// How wrong each source of motion has been lately.
+/// Learned noise of each source of motion.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct LearnedNoise {
-    /// The robot going on as it did.
+    /// The constant-velocity prediction.
     pub(super) velocity: SourceNoise,
     pub(super) odometry: SourceNoise,
     pub(super) imu: SourceNoise,
 }
 
 impl LearnedNoise {
-    pub(super) fn disbelieved(&self) -> Disbelieved {
-        Disbelieved { odometry: self.odometry.is_disbelieved(), imu: self.imu.is_disbelieved() }
+    pub(super) fn rejected_sources(&self) -> RejectedSources {
+        RejectedSources { odometry: self.odometry.is_rejected(), imu: self.imu.is_rejected() }
     }
 }
 
 impl Prediction {
-    /// With the noise that was learned of its source.
+    /// The prediction with the learned noise of its source.
     pub(super) fn with_noise(&self, noise: SourceNoise) -> Self {
         Self { covariance: self.covariance * noise.factor(), ..*self }
     }
 
-    /// What wheels say, weighed by how the robot was driving: where the two contradict one another, the wheels lock, spin or are not heard of,
-    /// for a body is too heavy to change its velocity like that. Their standard deviation is then that from the velocity. Where stamps jitter
-    /// the step may have taken as long as any: then the robot would be where it is `usually`.
-    pub(super) fn doubted_by(&self, expected: &Self, usually: &Self) -> Self {
-        let time = offset(expected, &usually.motion);
-        let both = Self { covariance: self.covariance + usually.covariance + time * time.transpose(), ..*self };
-        let squared = 3.0 * deviation(&both, &expected.motion).powi(2);
-        Self { covariance: self.covariance * if squared > CONTRADICTION { squared } else { 1.0 }, ..*self }
+    /// Checks odometry against the constant-velocity prediction. If the two contradict each other, the wheels lock, spin or are
+    /// not reported, because a robot cannot change its velocity that fast. The covariance of the odometry is then multiplied by
+    /// the squared Mahalanobis distance. If stamps jitter, the step may have taken the typical time; the velocity then leads to
+    /// `typical`.
+    pub(super) fn checked_against(&self, by_velocity: &Self, typical: &Self) -> Self {
+        let time = innovation(by_velocity, &typical.motion);
+        let both = Self { covariance: self.covariance + typical.covariance + time * time.transpose(), ..*self };
+        let squared = 3.0 * normalized_innovation(&both, &by_velocity.motion).powi(2);
+        Self { covariance: self.covariance * if squared > GATE { squared } else { 1.0 }, ..*self }
     }
 }
 
-/// By how much a motion differs from the one that was said: m, m, rad, along the axes of its start.
-pub(super) fn offset(said: &Prediction, found: &Pose2) -> Vector3<f64> {
-    said.motion.difference(found)
+/// Measured minus predicted motion: m, m, rad, along the axes of its start.
+pub(super) fn innovation(predicted: &Prediction, measured: &Pose2) -> Vector3<f64> {
+    predicted.motion.difference(measured)
 }
 
-/// Standard deviations, in the mean over the coordinates, of a motion from the one that was said.
-pub(super) fn deviation(said: &Prediction, found: &Pose2) -> f64 {
-    let error = offset(said, found);
-    said.covariance.cholesky().map_or(0.0, |known| (error.dot(&known.solve(&error)).max(0.0) / 3.0).sqrt())
+/// Innovation in standard deviations of the prediction, as root mean square over its three coordinates.
+pub(super) fn normalized_innovation(predicted: &Prediction, measured: &Pose2) -> f64 {
+    let error = innovation(predicted, measured);
+    predicted.covariance.cholesky().map_or(0.0, |known| (error.dot(&known.solve(&error)).max(0.0) / 3.0).sqrt())
 }
 
 #[cfg(test)]
@@ -108,36 +109,38 @@ mod tests {
 
     fn after(steps: &[(f64, f64)]) -> SourceNoise {
         let mut noise = SourceNoise::default();
-        for &(said, found) in steps {
-            let motion = Pose2::new(said, 0.0, 0.0);
-            let said = Prediction { motion, covariance: uncertainty::of_wheels(&motion, 0.2) };
-            noise.judge(deviation(&said, &Pose2::new(found, 0.0, 0.0)));
+        for &(predicted, measured) in steps {
+            let motion = Pose2::new(predicted, 0.0, 0.0);
+            let predicted = Prediction { motion, covariance: uncertainty::wheel_covariance(&motion, 0.2) };
+            noise.update(normalized_innovation(&predicted, &Pose2::new(measured, 0.0, 0.0)));
         }
         noise
     }
 
     #[test]
-    fn noise_is_what_the_model_claims_until_steps_err_by_more() {
+    fn the_noise_is_that_of_the_model_until_errors_are_larger() {
         assert!((after(&[]).factor() - 1.0).abs() < 1e-12);
-        assert!((after(&[(0.1, 0.12), (0.1, 0.08), (0.1, 0.12)]).factor() - 1.0).abs() < 1e-12, "as usual");
+        assert!((after(&[(0.1, 0.12), (0.1, 0.08), (0.1, 0.12)]).factor() - 1.0).abs() < 1e-12, "typical errors");
         let wrong = [(0.1, -0.1); 12];
-        assert!(after(&wrong).factor() > DISBELIEVED && after(&wrong).is_disbelieved());
+        assert!(after(&wrong).factor() > REJECTION_FACTOR && after(&wrong).is_rejected());
         assert!(after(&wrong).factor() > 2.0 * after(&wrong[..1]).factor());
         let right_again = [&wrong[..], &[(0.1, 0.1); 20]].concat();
-        assert!(after(&right_again).factor() < 1.2 && !after(&right_again).is_disbelieved());
+        assert!(after(&right_again).factor() < 1.2 && !after(&right_again).is_rejected());
     }
 
     #[test]
-    fn wheels_that_stop_at_once_are_doubted() {
-        let known = |x: f64, deviation: f64| Prediction {
+    fn wheels_that_stop_abruptly_get_an_inflated_covariance() {
+        let prediction = |x: f64, deviation: f64| Prediction {
             motion: Pose2::new(x, 0.0, 0.0),
             covariance: uncertainty::diagonal(deviation, deviation),
         };
-        let driving = known(0.15, 0.02);
-        let weighed = |said: f64, usually: f64| known(said, 0.01).doubted_by(&driving, &known(usually, 0.02)).and(&driving);
-        assert!(weighed(0.0, 0.15).motion.x > 0.1, "wheels that lock: {}", weighed(0.0, 0.15).motion.x);
-        assert!(weighed(0.11, 0.15).motion.x < 0.12, "wheels that brake: {}", weighed(0.11, 0.15).motion.x);
-        assert!(weighed(0.0, 0.0).motion.x < 0.05, "a stamp that is late: {}", weighed(0.0, 0.0).motion.x);
+        let driving = prediction(0.15, 0.02);
+        let fused = |predicted: f64, typical: f64| {
+            prediction(predicted, 0.01).checked_against(&driving, &prediction(typical, 0.02)).fused_with(&driving)
+        };
+        assert!(fused(0.0, 0.15).motion.x > 0.1, "wheels that lock: {}", fused(0.0, 0.15).motion.x);
+        assert!(fused(0.11, 0.15).motion.x < 0.12, "wheels that brake: {}", fused(0.11, 0.15).motion.x);
+        assert!(fused(0.0, 0.0).motion.x < 0.05, "a stamp that is late: {}", fused(0.0, 0.0).motion.x);
     }
 
     #[test]
@@ -147,10 +150,10 @@ mod tests {
     }
 
     #[test]
-    fn turns_contradict_too_and_go_round() {
+    fn rotations_count_too_and_wrap_around() {
         let motion = Pose2::new(0.0, 0.0, 3.0);
-        let said = Prediction { motion, covariance: uncertainty::of_wheels(&motion, 0.2) };
-        assert!(deviation(&said, &Pose2::new(0.0, 0.0, -3.0)) < 1.0);
-        assert!(deviation(&said, &Pose2::IDENTITY) > 3.0);
+        let predicted = Prediction { motion, covariance: uncertainty::wheel_covariance(&motion, 0.2) };
+        assert!(normalized_innovation(&predicted, &Pose2::new(0.0, 0.0, -3.0)) < 1.0);
+        assert!(normalized_innovation(&predicted, &Pose2::IDENTITY) > 3.0);
     }
 }

@@ -1,55 +1,55 @@
-//! What is known of the robot's motion besides its scans, from several sources at once.
+//! Sources of the robot's motion besides its scans.
 //!
-//! The better one goes first: transforms of another node, the heading of an IMU, wheel odometry, a velocity. Where there is none,
-//! the robot is taken to go on as it did.
+//! The best available source is used: transforms of another node, then wheel odometry, then a velocity, the last two with the
+//! rotation of an IMU. Without any the robot is assumed to move at constant velocity.
 
 use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
 use crate::time::Stamp;
 
-use super::heading::{Heading, HeadingReading};
-use super::lag::Lag;
+use super::heading::{HeadingReading, ImuHeading};
+use super::lag::LagEstimator;
 use super::prediction::Prediction;
 use super::wheel::{WheelEvent, WheelOdometry, WheelSample};
 
-/// A turn this many standard deviations from another contradicts it.
-const CONTRADICTING: f64 = 5.0;
-/// A velocity that is older than this says nothing about a scan, s.
-const OLDEST_VELOCITY: f64 = 0.5;
-/// Standard deviation of an IMU's turn: so much, rad, ...
-const HEADING_ERROR: f64 = 0.005;
-/// ... and this part of the turn.
-const HEADING_SCALE_ERROR: f64 = 0.02;
+/// Rotations that differ by more standard deviations than this contradict each other.
+const CONTRADICTION_GATE: f64 = 5.0;
+/// Maximum age of a velocity that is used for a scan, s.
+const MAX_VELOCITY_AGE: f64 = 0.5;
+/// Standard deviation of an IMU's rotation: constant part, rad.
+const IMU_ROTATION_ERROR: f64 = 0.005;
+/// Standard deviation of an IMU's rotation: fraction of the rotation.
+const IMU_SCALE_ERROR: f64 = 0.02;
 
 /// All sources of the robot's motion.
 #[derive(Clone, Debug, Default)]
 pub struct MotionSources {
     transforms: WheelOdometry,
-    heading: Heading,
-    /// The matches contradict the IMU: its turns are not used.
-    heading_disbelieved: bool,
+    heading: ImuHeading,
+    /// The matches contradict the IMU: its rotations are not used.
+    imu_rejected: bool,
     wheels: WheelOdometry,
-    wheel_lag: Lag,
-    /// With the stamp of the last scan before it came: velocities have none of their own.
+    wheel_lag: LagEstimator,
+    /// With the stamp of the latest scan before it arrived: velocities have no stamp of their own.
     velocity: Option<(Stamp, Twist2)>,
 }
 
 impl MotionSources {
-    /// Where another node's transforms say the base is.
+    /// Adds the pose of the base by another node's transforms.
     pub fn push_transform(&mut self, sample: WheelSample) -> WheelEvent {
         self.transforms.push(sample)
     }
 
-    /// A reading of the IMU.
-    pub fn push_heading(&mut self, reading: HeadingReading) {
+    /// Adds a reading of the IMU.
+    pub fn push_imu_reading(&mut self, reading: HeadingReading) {
         self.heading.push(reading);
     }
 
-    /// A message of wheel odometry.
+    /// Adds a message of wheel odometry.
     pub fn push(&mut self, sample: WheelSample) -> WheelEvent {
         self.wheels.push(sample)
     }
 
-    /// The robot moves like this, from the scan of this stamp on.
+    /// Sets the velocity of the robot, valid from the scan of this stamp on.
     pub fn set_velocity(&mut self, after: Stamp, twist: Twist2) {
         self.velocity = Some((after, twist));
     }
@@ -59,87 +59,86 @@ impl MotionSources {
         *self = Self::default();
     }
 
-    /// Whether something comes that says where the base is at `stamp`, and has not come yet.
+    /// Whether a source that reports the motion until `stamp` is expected but has not arrived yet.
     pub fn is_behind(&self, stamp: Stamp) -> bool {
-        self.wheels.is_behind(self.by_wheel_clock(stamp)) || self.transforms.is_due(stamp) || self.heading.is_due(stamp)
+        self.wheels.is_behind(self.wheel_time(stamp)) || self.transforms.is_due(stamp) || self.heading.is_due(stamp)
     }
 
-    /// The stamp of the last message of wheel odometry.
+    /// The stamp of the latest message of wheel odometry.
     pub fn last_wheel_stamp(&self) -> Option<Stamp> {
         self.wheels.last_stamp()
     }
 
-    /// Where wheel odometry says that the base is when its own clock says `stamp`.
+    /// Pose of the base by wheel odometry when its own clock reads `stamp`.
     pub fn wheel_pose(&self, stamp: Stamp) -> Option<Pose2> {
         self.wheels.pose_at(stamp)
     }
 
-    /// A scan shows where the wheels had the robot so long before its stamp, s.
+    /// Estimated lag of scans behind the wheel odometry, s.
     pub fn wheel_lag(&self) -> f64 {
         self.wheel_lag.seconds()
     }
 
-    /// Takes where a match has found the base, in a frame in which it does not jump: the wheels' lag is learned by it.
+    /// Updates the lag of the wheels by a matched pose of the base, in a frame in which it does not jump.
     pub fn learn_lag(&mut self, stamp: Stamp, odom_from_base: Pose2) {
         self.wheel_lag.learn(stamp, odom_from_base, &self.wheels);
     }
 
-    /// What the wheels' clock said when a scan of this stamp was taken.
-    fn by_wheel_clock(&self, stamp: Stamp) -> Stamp {
+    /// The wheels' clock when a scan of this stamp was taken.
+    fn wheel_time(&self, stamp: Stamp) -> Stamp {
         stamp.offset_by(-self.wheel_lag.seconds())
     }
 
-    /// The motion of the base from one time to another, seen from the first; `None` where nothing covers it.
+    /// The motion of the base from one time to another, in the frame of the first; `None` if no source covers it.
     pub fn motion(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
         let motion = self.motion_without_imu(from, to)?;
-        Some(self.believed_turn(from, to).map_or(motion, |(turn, _)| with_turn(&motion, turn)))
+        Some(self.accepted_imu_rotation(from, to).map_or(motion, |(rotation, _)| with_rotation(&motion, rotation)))
     }
 
-    /// The same by all but the IMU.
+    /// The motion by all sources but the IMU.
     pub fn motion_without_imu(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
-        let by_wheels =
-            || self.wheels.motion(self.by_wheel_clock(from), self.by_wheel_clock(to)).or_else(|| self.by_velocity(from, to));
-        self.transforms.motion(from, to).or_else(by_wheels)
+        let wheel_motion =
+            || self.wheels.motion(self.wheel_time(from), self.wheel_time(to)).or_else(|| self.velocity_motion(from, to));
+        self.transforms.motion(from, to).or_else(wheel_motion)
     }
 
-    /// What the IMU says of the turn from one time to another, believed or not, rad, and its standard deviation.
-    pub fn turn_by_imu(&self, from: Stamp, to: Stamp) -> Option<(f64, f64)> {
-        let turn = self.heading.turn(from, to)?;
-        Some((turn, HEADING_ERROR + HEADING_SCALE_ERROR * turn.abs()))
+    /// The IMU's rotation from one time to another, rad, and its standard deviation, rad; even if it is rejected.
+    pub fn imu_rotation(&self, from: Stamp, to: Stamp) -> Option<(f64, f64)> {
+        let rotation = self.heading.rotation(from, to)?;
+        Some((rotation, IMU_ROTATION_ERROR + IMU_SCALE_ERROR * rotation.abs()))
     }
 
-    /// Whether to use the IMU's turns.
-    pub fn believe_imu(&mut self, believed: bool) {
-        self.heading_disbelieved = !believed;
+    /// Sets whether the IMU's rotations are rejected.
+    pub fn set_imu_rejected(&mut self, rejected: bool) {
+        self.imu_rejected = rejected;
     }
 
-    /// The same where it is believed, and no other node's transforms say more.
-    fn believed_turn(&self, from: Stamp, to: Stamp) -> Option<(f64, f64)> {
-        let is_heard = !self.heading_disbelieved && self.transforms.motion(from, to).is_none();
-        if is_heard { self.turn_by_imu(from, to) } else { None }
+    /// The IMU's rotation, unless it is rejected or another node's transforms cover the motion.
+    fn accepted_imu_rotation(&self, from: Stamp, to: Stamp) -> Option<(f64, f64)> {
+        let is_used = !self.imu_rejected && self.transforms.motion(from, to).is_none();
+        if is_used { self.imu_rotation(from, to) } else { None }
     }
 
-    fn by_velocity(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
+    fn velocity_motion(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
         let (after, twist) = self.velocity?;
-        (to.seconds_since(after) <= OLDEST_VELOCITY).then(|| twist.motion(to.seconds_since(from)))
+        (to.seconds_since(after) <= MAX_VELOCITY_AGE).then(|| twist.motion(to.seconds_since(from)))
     }
 
-    /// A motion that was predicted some other way, with the IMU's turn where that is known better. Where the two contradict one another,
-    /// one of them is wrong, and the heading is known no better than that.
-    pub(super) fn with_heading(&self, known: &Prediction, from: Stamp, to: Stamp) -> Prediction {
-        let Some((turn, deviation)) = self.believed_turn(from, to) else { return *known };
+    /// A prediction by other sources with the IMU's rotation, if that is more certain. If the two contradict each other, one of
+    /// them is wrong, and their difference becomes the heading's standard deviation.
+    pub(super) fn with_imu_heading(&self, known: &Prediction, from: Stamp, to: Stamp) -> Prediction {
+        let Some((rotation, deviation)) = self.accepted_imu_rotation(from, to) else { return *known };
         let Prediction { motion, covariance } = *known;
-        let difference = wrap_angle(turn - motion.theta);
-        if difference.abs() > CONTRADICTING * covariance.m33.sqrt().hypot(deviation) {
+        let difference = wrap_angle(rotation - motion.theta);
+        if difference.abs() > CONTRADICTION_GATE * covariance.m33.sqrt().hypot(deviation) {
             return Prediction { motion, covariance: with_heading_variance(&covariance, difference * difference) };
         }
         let variance = covariance.m33.min(deviation * deviation);
-        Prediction { motion: with_turn(&motion, turn), covariance: with_heading_variance(&covariance, variance) }
+        Prediction { motion: with_rotation(&motion, rotation), covariance: with_heading_variance(&covariance, variance) }
     }
 }
 
-/// The covariance when the heading's variance is found to be another one, rad^2: what the position has to do with the heading stays, by
-/// its regression on that.
+/// The covariance with another variance of the heading, rad^2. The regression of the position on the heading is kept.
 fn with_heading_variance(covariance: &PoseCovariance, variance: f64) -> PoseCovariance {
     if covariance.m33 <= 0.0 {
         return *covariance;
@@ -148,9 +147,9 @@ fn with_heading_variance(covariance: &PoseCovariance, variance: f64) -> PoseCova
     covariance + by_heading * by_heading.transpose() * (variance - covariance.m33)
 }
 
-/// The motion of the same way but another turn: the arc bends more or less.
-fn with_turn(motion: &Pose2, turn: f64) -> Pose2 {
-    Twist2 { omega: turn, ..Twist2::of_motion(motion, 1.0) }.motion(1.0)
+/// The motion with the same arc length but another rotation.
+fn with_rotation(motion: &Pose2, rotation: f64) -> Pose2 {
+    Twist2 { omega: rotation, ..Twist2::from_motion(motion, 1.0) }.motion(1.0)
 }
 
 #[cfg(test)]
@@ -173,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn the_better_source_goes_first() {
+    fn the_best_available_source_is_used() {
         let mut sources = MotionSources::default();
         assert_eq!(sources.motion(at(0.0), at(0.1)), None);
         sources.set_velocity(at(0.0), Twist2 { vx: 1.0, vy: 0.0, omega: 0.0 });
@@ -184,11 +183,11 @@ mod tests {
         }
         assert_eq!(motion(&sources), Pose2::new(0.2, 0.0, 0.0));
         for (seconds, yaw) in [(0.0, 1.0), (0.1, 1.3)] {
-            sources.push_heading(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 3.0 });
+            sources.push_imu_reading(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 3.0 });
         }
-        let turned = motion(&sources);
-        assert!((turned.theta - 0.3).abs() < 1e-9 && turned.y > 0.02, "the way of the wheels bends: {turned:?}");
-        assert!((turned.distance() - 0.2).abs() < 1e-3);
+        let rotated = motion(&sources);
+        assert!((rotated.theta - 0.3).abs() < 1e-9 && rotated.y > 0.02, "the arc of the wheels bends: {rotated:?}");
+        assert!((rotated.distance() - 0.2).abs() < 1e-3);
         for seconds in [0.0, 0.1] {
             sources.push_transform(sample(seconds, Pose2::new(5.0 * seconds, 0.0, 0.0)));
         }
@@ -196,22 +195,22 @@ mod tests {
     }
 
     #[test]
-    fn an_imu_alone_turns_what_was_predicted_and_says_how_well() {
+    fn an_imu_alone_rotates_the_prediction_and_reduces_its_variance() {
         let mut sources = MotionSources::default();
         let covariance = uncertainty::diagonal(0.035, 0.11);
         let straight = Prediction { motion: Pose2::new(0.1, 0.0, 0.0), covariance };
-        let unturned = sources.with_heading(&straight, at(0.0), at(0.1));
-        assert_eq!((unturned.motion, unturned.covariance), (straight.motion, straight.covariance));
+        let unchanged = sources.with_imu_heading(&straight, at(0.0), at(0.1));
+        assert_eq!((unchanged.motion, unchanged.covariance), (straight.motion, straight.covariance));
         for (seconds, yaw) in [(0.0, 0.0), (0.1, 0.2)] {
-            sources.push_heading(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 2.0 });
+            sources.push_imu_reading(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 2.0 });
         }
-        let Prediction { motion: turned, covariance: known } = sources.with_heading(&straight, at(0.0), at(0.1));
-        assert!((turned.theta - 0.2).abs() < 1e-9 && known[(2, 2)] < 0.1 * covariance[(2, 2)]);
+        let Prediction { motion: rotated, covariance: known } = sources.with_imu_heading(&straight, at(0.0), at(0.1));
+        assert!((rotated.theta - 0.2).abs() < 1e-9 && known[(2, 2)] < 0.1 * covariance[(2, 2)]);
         assert_eq!(known[(0, 0)].to_bits(), covariance[(0, 0)].to_bits());
     }
 
     #[test]
-    fn whatever_an_imu_says_of_the_heading_the_covariance_is_one() {
+    fn any_heading_variance_gives_a_valid_covariance() {
         let heading_moves_the_position = Vector3::new(0.0, 0.1, 0.4);
         let covariance = uncertainty::diagonal(0.01, 0.01) + heading_moves_the_position * heading_moves_the_position.transpose();
         for deviation in [1e-4, 0.02, 0.4, 3.0] {
@@ -224,9 +223,9 @@ mod tests {
     }
 
     #[test]
-    fn scans_wait_for_what_comes_but_not_for_what_has_stopped_coming() {
+    fn scans_wait_for_active_sources_only() {
         let mut sources = MotionSources::default();
-        sources.push_heading(HeadingReading { stamp: at(0.0), yaw: None, rate: 0.1 });
+        sources.push_imu_reading(HeadingReading { stamp: at(0.0), yaw: None, rate: 0.1 });
         assert_eq!([0.01, 0.2, 2.0].map(|seconds| sources.is_behind(at(seconds))), [false, true, false]);
     }
 }

@@ -1,10 +1,11 @@
-//! Answers for scans that were not matched.
+//! Registrations of scans without a match.
 
-use super::answer::Answer;
-use super::attempt::{Attempt, Last};
+use super::match_problem::{MatchProblem, PreviousEstimate};
 use super::motion_state::MotionState;
+use super::pose_estimate::PoseEstimate;
 use super::prediction::Prediction;
 use super::registration::{Failure, FailureReason, Outcome, RefinementReport, Registration};
+use super::scale_error::ScaleJacobian;
 use super::{LaserOdometry, uncertainty};
 use crate::anytime::ErrorEstimate;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
@@ -12,10 +13,10 @@ use crate::scan::Scan;
 use crate::time::{Stamp, Step};
 
 impl LaserOdometry {
-    /// Scans that are not later than the last one are answered without a match.
-    pub(super) fn answer_by_stamp(&mut self, stamp: Stamp) -> Option<Registration> {
-        let last = self.last?;
-        let problem = match self.stamps.step(stamp, last.stamp, self.sources.last_wheel_stamp()) {
+    /// Registers a scan that is not newer than the previous one; `None` if it is to be matched.
+    pub(super) fn check_stamp(&mut self, stamp: Stamp) -> Option<Registration> {
+        let previous = self.previous?;
+        let failure = match self.stamps.step(stamp, previous.stamp, self.sources.last_wheel_stamp()) {
             Step::Forward => return None,
             Step::NewRun => {
                 self.counters.time_jumps += 1;
@@ -24,124 +25,139 @@ impl LaserOdometry {
             }
             Step::SetBack { last: stamp } => {
                 self.counters.clock_steps += 1;
-                self.last = Some(Last { stamp, ..last });
+                self.previous = Some(PreviousEstimate { stamp, ..previous });
                 return None;
             }
             Step::Same => {
                 self.counters.duplicate_scans += 1;
-                Failure::new(FailureReason::DuplicateStamp, "its stamp is that of the scan before: the same answer again")
+                Failure::new(FailureReason::DuplicateStamp, "it has the stamp of the previous scan: the answer is repeated")
             }
             Step::Late => {
                 self.counters.out_of_order_scans += 1;
-                let seconds = last.stamp.seconds_since(stamp);
+                let seconds = previous.stamp.seconds_since(stamp);
                 Failure::new(
                     FailureReason::OutOfOrder,
-                    format!("its stamp is {seconds:.3} s before that of the last scan: out of order"),
+                    format!("its stamp is {seconds:.3} s older than that of the previous scan: out of order"),
                 )
             }
         };
         self.counters.predicted += 1;
-        let answer = self.registration(Outcome::Predicted(problem), last.map_from_base, &last.covariance);
-        Some(Registration { twist: last.motion.twist, ..answer })
+        let registration = self.registration(Outcome::Predicted(failure), previous.map_from_base, &previous.total_covariance());
+        Some(Registration { twist: previous.motion.twist, ..registration })
     }
 
-    /// The first scan that others can be matched to.
-    pub(super) fn answer_first(
+    /// Registers the first scan, which becomes the reference.
+    pub(super) fn register_first(
         &mut self,
         scan: &Scan,
         base_from_laser: &Pose2,
         map_from_base: Pose2,
         covariance: PoseCovariance,
     ) -> Registration {
-        self.conclude(scan, base_from_laser, Answer::first(map_from_base, covariance), true)
+        self.commit(scan, base_from_laser, PoseEstimate::first(map_from_base, covariance), true)
     }
 
-    /// A scan that looks where none has looked is answered by the prediction; others can be matched to it.
-    pub(super) fn answer_unseen(&mut self, scan: &Scan, attempt: &Attempt) -> Registration {
+    /// Registers a scan with the predicted pose if no keyframe overlaps with it; it becomes a keyframe.
+    pub(super) fn register_without_overlap(&mut self, scan: &Scan, problem: &MatchProblem) -> Registration {
         self.counters.predicted += 1;
-        let problem = Failure::new(
+        let failure = Failure::new(
             FailureReason::TooFewCorrespondences,
-            "it looks where no scan has looked before: there is nothing to match",
+            "no earlier scan overlaps with its field of view: there is nothing to match it to",
         );
-        self.conclude(scan, &attempt.base_from_laser, Answer::predicted(attempt, problem), true)
+        self.commit(scan, &problem.base_from_laser, PoseEstimate::predicted(problem, failure), true)
     }
 
-    /// The prediction as answer. `is_lost`: the scan could not be matched. It becomes the keyframe then: the one it was to be matched to
-    /// must not be kept for ever.
-    pub(super) fn answer_predicted(
+    /// Registers a scan with the predicted pose. `is_lost`: the scan could not be matched, and becomes the keyframe, so that an
+    /// unusable keyframe is not kept forever.
+    pub(super) fn register_prediction(
         &mut self,
         scan: &Scan,
-        attempt: &Attempt,
+        problem: &MatchProblem,
         refinement: Option<RefinementReport>,
-        problem: Failure,
+        failure: Failure,
         becomes_keyframe: bool,
         is_lost: bool,
     ) -> Registration {
         self.counters.predicted += 1;
         if is_lost
-            && attempt.awaits_odometry
-            && let Some(start) = &mut self.last
-            && !std::mem::replace(&mut start.passed_over, true)
+            && problem.awaits_odometry
+            && let Some(previous) = &mut self.previous
+            && !std::mem::replace(&mut previous.has_skipped_scan, true)
         {
-            // What comes says better how the robot has moved: the next scan starts from where this one did.
-            let twist = attempt.last.motion.expect(scan.stamp().seconds_since(attempt.last.stamp)).unseen().twist;
-            let error = ErrorEstimate::of_covariance(&attempt.prediction.covariance);
-            let (map_from_base, covariance) = attempt.predicted_base();
-            return Registration { refinement, ..self.passing(problem, map_from_base, &covariance, (twist, error)) };
+            // The odometry to come will predict the motion better: the next scan starts from the same estimate as this one.
+            let twist =
+                problem.previous.motion.predict(scan.stamp().seconds_since(problem.previous.stamp)).without_measurement().twist;
+            let error = ErrorEstimate::of_covariance(&problem.prediction.covariance);
+            let (map_from_base, covariance) = problem.predicted_base();
+            let covariance = covariance + problem.predicted_by_scale().covariance();
+            return Registration {
+                refinement,
+                ..self.register_without_update(failure, map_from_base, &covariance, (twist, error))
+            };
         }
-        let answer = Answer { is_lost, refinement, ..Answer::predicted(attempt, problem) };
-        self.conclude(scan, &attempt.base_from_laser, answer, becomes_keyframe)
+        let estimate = PoseEstimate { is_lost, refinement, ..PoseEstimate::predicted(problem, failure) };
+        self.commit(scan, &problem.base_from_laser, estimate, becomes_keyframe)
     }
 
-    /// An answer for a scan that could not be used at all, taken at `stamp`.
-    pub fn answer_unusable(&mut self, stamp: Stamp, problem: Failure) -> Registration {
+    /// Registers a scan with stamp `stamp` that could not be used at all.
+    pub fn register_unusable(&mut self, stamp: Stamp, failure: Failure) -> Registration {
         self.maintain();
         self.matched_points = None;
         self.iterations.clear();
         self.counters.predicted += 1;
-        // The stamp of such a scan may be as wrong as the rest of it: no run starts again by it.
-        if let Some(last) = self.last.filter(|last| stamp <= last.stamp) {
-            return self.passing(problem, last.map_from_base, &last.covariance, (last.motion.twist, ErrorEstimate::UNKNOWN));
+        // The stamp of such a scan may be wrong too, so it does not start a new run.
+        if let Some(previous) = self.previous.filter(|previous| stamp <= previous.stamp) {
+            return self.register_without_update(
+                failure,
+                previous.map_from_base,
+                &previous.total_covariance(),
+                (previous.motion.twist, ErrorEstimate::UNKNOWN),
+            );
         }
-        let (map_from_base, covariance, prediction) = match self.last {
-            Some(last) => (last.map_from_base, last.covariance, self.attempt(&last, stamp, &Pose2::IDENTITY).prediction),
-            None => (self.start, PoseCovariance::zeros(), Prediction::NONE),
+        let (map_from_base, covariance, prediction) = match self.previous {
+            Some(previous) => (
+                previous.map_from_base,
+                previous.total_covariance(),
+                self.match_problem(&previous, stamp, &Pose2::IDENTITY).prediction,
+            ),
+            None => (self.start_pose, PoseCovariance::zeros(), Prediction::NO_MOTION),
         };
         let Prediction { motion, covariance: motion_covariance } = prediction;
         let covariance = uncertainty::compound(&map_from_base, &covariance, &motion, &motion_covariance);
         let map_from_base = map_from_base * motion;
         let error = ErrorEstimate::of_covariance(&motion_covariance);
-        let state = self.last.map_or_else(
+        let state = self.previous.map_or_else(
             || MotionState::unknown(&covariance),
-            |last| last.motion.expect(stamp.seconds_since(last.stamp)).unseen(),
+            |previous| previous.motion.predict(stamp.seconds_since(previous.stamp)).without_measurement(),
         );
         let twist = state.twist;
-        // The next scan's prediction starts from the last scan there was; where there was none, from here.
-        if self.keyframe.is_none() && self.upcoming_keyframe.is_none() {
-            self.last = Some(Last {
+        // The next prediction starts from the previous scan, or from here if there is none.
+        if self.keyframe.is_none() && self.pending_keyframe.is_none() {
+            self.previous = Some(PreviousEstimate {
                 stamp,
                 map_from_base,
                 map_from_laser: map_from_base,
                 covariance,
+                by_scale: ScaleJacobian::NONE,
                 covariance_to_keyframe: PoseCovariance::zeros(),
-                seen_twist: twist,
+                measured_twist: twist,
                 mean_twist: twist,
                 motion: state,
-                passed_over: false,
+                has_skipped_scan: false,
             });
         }
-        self.passing(problem, map_from_base, &covariance, (twist, error))
+        self.register_without_update(failure, map_from_base, &covariance, (twist, error))
     }
 
-    /// A prediction that the next scan does not start from.
-    pub(super) fn passing(
+    /// A registration with the prediction, which leaves the state unchanged.
+    pub(super) fn register_without_update(
         &self,
-        problem: Failure,
+        failure: Failure,
         map_from_base: Pose2,
         covariance: &PoseCovariance,
         (twist, error): (Twist2, ErrorEstimate),
     ) -> Registration {
-        let answer = self.registration(Outcome::Predicted(problem), map_from_base, covariance);
-        Registration { twist, predicted_error: error, estimated_error: error, ..answer }
+        let registration = self.registration(Outcome::Predicted(failure), map_from_base, covariance);
+        Registration { twist, predicted_error: error, estimated_error: error, ..registration }
     }
 }

@@ -1,4 +1,4 @@
-//! Wheel odometry as the prediction of where the next scan was taken.
+//! Wheel odometry: a buffer of messages that is interpolated and extrapolated.
 
 use std::collections::VecDeque;
 
@@ -7,50 +7,50 @@ use super::{source_noise, uncertainty};
 use crate::geometry::{Pose2, Twist2};
 use crate::time::Stamp;
 
-/// Messages kept: 4 s at 1 kHz, more than the longest lag that is looked for.
+/// Number of messages kept: 4 s at 1 kHz, more than the longest lag.
 const CAPACITY: usize = 4000;
-/// Odometry older than this says nothing about a scan, s.
+/// Maximum time to extrapolate odometry, s.
 const MAX_EXTRAPOLATION: f64 = 0.5;
-/// Of what happened between two messages that are farther apart nothing is known, s: the clock may have been set in between.
-const LONGEST_GAP: f64 = 3.0;
-/// Over a shorter time than this the velocity is as good as a message, s.
-const GOOD_EXTRAPOLATION: f64 = 0.05;
-/// A move faster than any robot drives, m/s ...
+/// Maximum time between two messages to interpolate, s: over a longer gap the clock may have been set.
+const MAX_GAP: f64 = 3.0;
+/// Maximum time over which an extrapolation is as good as a message, s.
+const RELIABLE_EXTRAPOLATION: f64 = 0.05;
+/// Speed above which a jump of the pose is a reset of the odometry, m/s: no robot drives faster.
 const MAX_SPEED: f64 = 30.0;
-/// ... and farther than odometry is ever rounded is a reset of the odometry, m.
+/// Distance above which a jump of the pose is a reset of the odometry, m: no odometry is rounded more coarsely.
 const MAX_JUMP: f64 = 0.5;
 
-/// A velocity that leads this many standard deviations from where the poses lead is of another frame, or wrong.
-const CONTRADICTING: f64 = 3.0;
+/// A twist whose motion differs from that of the poses by more standard deviations than this is in another frame, or wrong.
+const TWIST_GATE: f64 = 3.0;
 
 /// One odometry message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WheelSample {
-    /// When it was measured.
+    /// Time of the measurement.
     pub stamp: Stamp,
-    /// Pose of the base in the wheels' own odometry frame.
+    /// Pose of the base in the frame of the wheel odometry.
     pub pose: Pose2,
-    /// Velocity in the base frame, where the message has one.
+    /// Velocity in the base frame, if the message has one.
     pub twist: Option<Twist2>,
 }
 
-/// What became of a sample.
+/// How a sample was handled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WheelEvent {
-    /// It follows on the one before.
+    /// It was appended.
     Appended,
-    /// It has the stamp of the one before and was left out.
+    /// It was ignored: its stamp is that of the previous one.
     Duplicate,
-    /// Time went back: earlier samples are forgotten.
+    /// Time went back: earlier samples were dropped.
     TimeJump {
-        /// Whether the pose is where it was: the clock was set, and the robot drives on.
-        goes_on: bool,
+        /// The pose continues where it was: the clock was set while the robot drove on.
+        is_continuous: bool,
     },
-    /// The pose jumped: motions across the jump are not known.
+    /// The pose jumped: motions across the jump are unknown.
     Reset,
 }
 
-/// The last messages of wheel odometry.
+/// The latest messages of wheel odometry.
 #[derive(Clone, Debug, Default)]
 pub struct WheelOdometry {
     samples: VecDeque<WheelSample>,
@@ -72,41 +72,40 @@ impl WheelOdometry {
         event
     }
 
-    /// Forgets everything.
+    /// Forgets all messages.
     pub fn clear(&mut self) {
         self.samples.clear();
     }
 
-    /// The stamp of the last message.
+    /// The stamp of the latest message.
     pub fn last_stamp(&self) -> Option<Stamp> {
         self.samples.back().map(|last| last.stamp)
     }
 
-    /// Whether there is odometry, and none yet that says where the base is at `stamp`.
+    /// Whether there is odometry, but none yet that covers `stamp`.
     pub fn is_behind(&self, stamp: Stamp) -> bool {
-        self.samples.back().is_some_and(|last| stamp.seconds_since(last.stamp) > GOOD_EXTRAPOLATION)
+        self.samples.back().is_some_and(|last| stamp.seconds_since(last.stamp) > RELIABLE_EXTRAPOLATION)
     }
 
-    /// Whether messages come, and the one that says where the base is at `stamp` has yet to.
+    /// Whether messages are arriving, but the one that covers `stamp` has not arrived yet.
     pub fn is_due(&self, stamp: Stamp) -> bool {
         let fresh = self.samples.back().is_some_and(|last| stamp.seconds_since(last.stamp) <= MAX_EXTRAPOLATION);
         fresh && self.is_behind(stamp)
     }
 
-    /// The motion of the base from one time to another, seen from the first; `None` where the messages do not cover it.
+    /// The motion of the base from one time to another, in the frame of the first; `None` if the messages do not cover it.
     pub fn motion(&self, from: Stamp, to: Stamp) -> Option<Pose2> {
         Some(self.pose_at(from)?.between(&self.pose_at(to)?))
     }
 
-    /// The pose of the base: between messages interpolated; for a while after the last one carried on by its velocity (its own, or that of
-    /// the last two).
+    /// The pose of the base: interpolated between messages, and extrapolated for a short time after the latest one.
     pub fn pose_at(&self, stamp: Stamp) -> Option<Pose2> {
         let after = self.samples.partition_point(|sample| sample.stamp < stamp);
         match (after.checked_sub(1).map(|i| self.samples[i]), self.samples.get(after)) {
             (_, Some(after)) if after.stamp == stamp => Some(after.pose),
             (Some(before), Some(after)) => {
                 let (since, gap) = (stamp.seconds_since(before.stamp), after.stamp.seconds_since(before.stamp));
-                (gap <= LONGEST_GAP).then(|| before.pose.interpolate(&after.pose, since / gap))
+                (gap <= MAX_GAP).then(|| before.pose.interpolate(&after.pose, since / gap))
             }
             (Some(last), None) => {
                 let ahead = stamp.seconds_since(last.stamp);
@@ -116,17 +115,19 @@ impl WheelOdometry {
         }
     }
 
-    /// Its own where the poses bear it out: not every driver gives it in the frame of the base.
+    /// The twist of the latest message if it agrees with the poses, since not every driver reports it in the base frame;
+    /// otherwise the velocity between the latest poses.
     fn last_twist(&self) -> Twist2 {
         let Some(last) = self.samples.back() else { return Twist2::default() };
-        let is_earlier = |sample: &&WheelSample| last.stamp.seconds_since(sample.stamp) >= GOOD_EXTRAPOLATION;
+        let is_earlier = |sample: &&WheelSample| last.stamp.seconds_since(sample.stamp) >= RELIABLE_EXTRAPOLATION;
         let before =
             self.samples.iter().rev().find(is_earlier).or(self.samples.front()).filter(|before| before.stamp < last.stamp);
         let Some(before) = before else { return last.twist.unwrap_or_default() };
         let (moved, seconds) = (before.pose.between(&last.pose), last.stamp.seconds_since(before.stamp));
-        let by_poses = Prediction { motion: moved, covariance: uncertainty::of_wheels(&moved, seconds) };
-        let is_borne_out = |twist: &Twist2| source_noise::deviation(&by_poses, &twist.motion(seconds)) < CONTRADICTING;
-        last.twist.filter(is_borne_out).unwrap_or_else(|| Twist2::of_motion(&moved, seconds))
+        let pose_based = Prediction { motion: moved, covariance: uncertainty::wheel_covariance(&moved, seconds) };
+        let is_consistent =
+            |twist: &Twist2| source_noise::normalized_innovation(&pose_based, &twist.motion(seconds)) < TWIST_GATE;
+        last.twist.filter(is_consistent).unwrap_or_else(|| Twist2::from_motion(&moved, seconds))
     }
 }
 
@@ -134,7 +135,7 @@ fn classify(last: &WheelSample, sample: &WheelSample) -> WheelEvent {
     let seconds = sample.stamp.seconds_since(last.stamp);
     let distance = last.pose.between(&sample.pose).distance();
     if seconds < 0.0 {
-        WheelEvent::TimeJump { goes_on: distance < MAX_JUMP }
+        WheelEvent::TimeJump { is_continuous: distance < MAX_JUMP }
     } else if seconds == 0.0 {
         WheelEvent::Duplicate
     } else if distance > MAX_JUMP && distance > MAX_SPEED * seconds {
@@ -157,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn interpolates_between_messages_and_goes_on_after_the_last() {
+    fn interpolates_between_messages_and_extrapolates_after_the_last() {
         let mut odometry = WheelOdometry::default();
         for i in 0..5 {
             assert_eq!(odometry.push(sample(f64::from(i) * 0.1, f64::from(i))), WheelEvent::Appended);
@@ -169,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_twist_in_the_message_is_better_than_differences_unless_they_contradict_it() {
+    fn the_twist_of_the_message_is_used_unless_the_poses_contradict_it() {
         let ahead = |twist: Twist2| {
             let mut odometry = WheelOdometry::default();
             odometry.push(sample(0.0, 0.0));
@@ -180,19 +181,19 @@ mod tests {
         let sideways = ahead(Twist2 { vx: 0.0, vy: -2.0, omega: 0.0 });
         assert!(
             (sideways.x - 0.2).abs() < 1e-9 && sideways.y.abs() < 1e-9,
-            "the velocity of a camera that looks sideways: {sideways:?}"
+            "the velocity of a camera that faces sideways: {sideways:?}"
         );
     }
 
     #[test]
-    fn duplicates_resets_and_time_jumps_are_told_apart() {
+    fn duplicates_resets_and_time_jumps_are_distinguished() {
         let mut odometry = WheelOdometry::default();
         odometry.push(sample(1.0, 0.0));
         assert_eq!(odometry.push(sample(1.0, 0.1)), WheelEvent::Duplicate);
         assert_eq!(odometry.push(sample(1.1, 10.0)), WheelEvent::Reset);
-        assert_eq!(motion(&odometry, 1.0, 1.1), None, "no motion is known across a reset");
-        assert_eq!(odometry.push(sample(0.5, 10.0)), WheelEvent::TimeJump { goes_on: true });
-        assert_eq!(odometry.push(sample(0.2, 0.0)), WheelEvent::TimeJump { goes_on: false });
-        assert_eq!(odometry.push(sample(3.2, 9.0)), WheelEvent::Appended, "a long way after a long gap is a gap");
+        assert_eq!(motion(&odometry, 1.0, 1.1), None, "motions across a reset are unknown");
+        assert_eq!(odometry.push(sample(0.5, 10.0)), WheelEvent::TimeJump { is_continuous: true });
+        assert_eq!(odometry.push(sample(0.2, 0.0)), WheelEvent::TimeJump { is_continuous: false });
+        assert_eq!(odometry.push(sample(3.2, 9.0)), WheelEvent::Appended, "a large distance after a long gap is no reset");
     }
 }

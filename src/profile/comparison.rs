@@ -1,4 +1,5 @@
-//! Two ways to keep a time: as many iterations as the look-up table allows, and a contract, which goes by the learned costs.
+//! Compares two methods of keeping a time limit: a fixed iteration count from the look-up table, and a time contract based on
+//! learned costs.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,52 +7,52 @@ use std::time::Duration;
 use super::ProfileError;
 use super::cost::Level;
 use super::look_up::{LookUpTable, RaysByIteration, iterations_by_costs};
-use super::run::{Input, Run, run};
+use super::run::{Run, StudyData, run};
 use super::variant::Variant;
 use crate::anytime::clock::Clock;
 use crate::config::Config;
 use crate::quantile;
 
-/// What came of one of the two.
+/// Result of one of the two methods.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Kept {
-    /// Iterations that fit, as it says.
+pub struct MethodResult {
+    /// Iterations that fit into the time limit according to the method.
     pub iterations: u32,
-    /// Part of the answers that were later.
+    /// Fraction of the answers that missed the time limit.
     pub late: f64,
-    /// Delay at percentile 99, us.
+    /// 99th percentile of the delay, us.
     pub p99_us: f64,
-    /// Error of the position, mean, m.
+    /// Mean position error, m.
     pub position_mean_m: f64,
 }
 
-/// Both beside each other.
+/// Results of both methods for one variant and time limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Comparison {
     /// The variant.
     pub variant: Variant,
-    /// The time that is to be kept.
+    /// The time limit.
     pub delta: Duration,
-    /// By the table; `None` where by it not one iteration fits.
-    pub table: Option<Kept>,
-    /// By a contract.
-    pub contract: Kept,
+    /// With the look-up table; `None` if not even one iteration fits.
+    pub table: Option<MethodResult>,
+    /// With a time contract.
+    pub contract: MethodResult,
 }
 
-/// What the two are compared on.
-pub struct Ground<'a> {
-    /// Bag and truth.
-    pub input: Input<'a>,
-    /// What both have in common.
+/// Data and settings of the comparison.
+pub struct ComparisonSetup<'a> {
+    /// Bag and ground truth.
+    pub input: StudyData<'a>,
+    /// Configuration shared by both methods.
     pub config: &'a Config,
-    /// Rounds of runs.
+    /// Number of runs of each method.
     pub rounds: u32,
-    /// Makes the clock of a run.
+    /// Creates the clock of a run.
     pub new_clock: &'a dyn Fn() -> Arc<dyn Clock>,
 }
 
-impl Ground<'_> {
-    /// Runs both. `beams`: of a scan.
+impl ComparisonSetup<'_> {
+    /// Runs both methods. `beams` is the number of beams of a scan.
     pub fn compare(
         &self,
         variant: Variant,
@@ -76,12 +77,12 @@ impl Ground<'_> {
         }
         let costs = by_contract.last().and_then(|run| run.costs.as_ref());
         let learned = costs.map_or(0, |costs| iterations_by_costs(costs, delta, &rays));
-        let table = (iterations > 0).then(|| Kept::of(&by_table, iterations, delta));
-        Ok(Comparison { variant, delta, table, contract: Kept::of(&by_contract, learned, delta) })
+        let table = (iterations > 0).then(|| MethodResult::of(&by_table, iterations, delta));
+        Ok(Comparison { variant, delta, table, contract: MethodResult::of(&by_contract, learned, delta) })
     }
 }
 
-impl Kept {
+impl MethodResult {
     fn of(runs: &[Run], iterations: u32, delta: Duration) -> Self {
         let scans = || runs.iter().flat_map(|run| &run.scans);
         let mut delays: Vec<f64> = scans().filter_map(|scan| scan.delay_us).collect();

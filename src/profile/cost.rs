@@ -1,25 +1,25 @@
-//! What an answer costs: setup plus so much for every ray of every iteration. Iterations alone do not tell, for the first ones take few
-//! rays.
+//! Cost model of an answer: a setup cost plus a cost per ray and iteration. The iteration count alone does not predict the delay
+//! because the first iterations use few rays.
 
 use std::collections::BTreeMap;
 
 use crate::quantile;
 
-/// What an answer costs.
+/// Cost model of an answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IterationCost {
     /// Delay without any iteration, us.
     pub setup_us: f64,
-    /// Delay of each ray of an iteration, us.
+    /// Delay per ray of an iteration, us.
     pub per_ray_us: f64,
 }
 
-/// The answers of so many iterations.
+/// Medians over all answers with the same number of iterations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Level {
-    /// Iterations made.
+    /// Number of iterations.
     pub iterations: u32,
-    /// Rays that took part in all of them together, median.
+    /// Median of the rays used, summed over the iterations.
     pub rays: u64,
     /// Median delay, us.
     pub delay_us: f64,
@@ -27,7 +27,7 @@ pub struct Level {
     pub count: usize,
 }
 
-/// The medians for each number of iterations, of (iterations, rays, delay in us).
+/// Groups answers, given as (iterations, rays, delay in us), by their number of iterations.
 pub fn levels(answers: impl IntoIterator<Item = (u32, u64, f64)>) -> Vec<Level> {
     let mut by_iterations: BTreeMap<u32, (Vec<u64>, Vec<f64>)> = BTreeMap::new();
     for (iterations, rays, delay) in answers {
@@ -45,16 +45,17 @@ pub fn levels(answers: impl IntoIterator<Item = (u32, u64, f64)>) -> Vec<Level> 
 }
 
 impl IterationCost {
-    /// The delay to expect of so many rays in all iterations together, us.
+    /// Expected delay, us. `rays` is summed over the iterations.
     pub fn delay_us(&self, rays: u64) -> f64 {
         self.setup_us + self.per_ray_us * rays as f64
     }
 }
 
-/// The line through the levels; `None` when all answers took as many rays.
+/// Fits a line through the levels; `None` if all answers used the same number of rays.
 ///
-/// Weighted median of the slopes of all pairs of levels (P. K. Sen, JASA 1968), then of the intercepts: a preempted or cold answer moves
-/// neither. A pair weighs as many answers and rays as it spans.
+/// The slope is the weighted median of the slopes of all pairs of levels (P. K. Sen, JASA 1968), the setup cost is the weighted
+/// median of the intercepts. Both are robust against answers that were preempted or ran on cold caches. The weight of a pair is
+/// the product of its answer counts and its difference in rays.
 pub fn fit(levels: &[Level]) -> Option<IterationCost> {
     let mut slopes = Vec::new();
     for (i, a) in levels.iter().enumerate() {
@@ -71,7 +72,7 @@ pub fn fit(levels: &[Level]) -> Option<IterationCost> {
     Some(IterationCost { setup_us, per_ray_us })
 }
 
-/// The value below which half of the weight of (value, weight) lies.
+/// Weighted median of (value, weight) pairs.
 fn weighted_median(mut values: Vec<(f64, f64)>) -> Option<f64> {
     values.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = 0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>();
@@ -90,18 +91,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn finds_the_line_through_answers_of_which_some_were_held_up() {
+    fn delayed_answers_do_not_affect_the_fitted_line() {
         let answers = (1..200_u32).map(|i| {
             let iterations = 1 + i % 9;
-            let held_up = if i % 7 == 0 { 5000.0 } else { f64::from(i % 3) };
-            (iterations, u64::from(100 * iterations), 100.0 + 50.0 * f64::from(iterations) + held_up)
+            let preemption = if i % 7 == 0 { 5000.0 } else { f64::from(i % 3) };
+            (iterations, u64::from(100 * iterations), 100.0 + 50.0 * f64::from(iterations) + preemption)
         });
         let cost = fit(&levels(answers)).unwrap();
         assert!((cost.per_ray_us - 0.5).abs() < 0.005 && (cost.setup_us - 101.0).abs() < 3.0, "{cost:?}");
     }
 
     #[test]
-    fn one_level_makes_no_line() {
+    fn a_line_needs_two_levels() {
         assert_eq!(fit(&levels([(3, 300, 10.0), (3, 300, 11.0)])), None);
         assert_eq!(fit(&[]), None);
     }

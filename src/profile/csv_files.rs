@@ -1,5 +1,5 @@
-//! The tables of a study. What a run has found is in the files before the next one begins; older files are
-//! replaced once the study is done.
+//! The CSV tables of a study. Results of a run are written before the next run begins; tables of an earlier study are replaced
+//! when the study is complete.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,8 +11,8 @@ use super::summary::{CaseSummary, Figures};
 use super::variant::Variant;
 use crate::output::OutputFile;
 
-const CASE: [&str; 4] = ["variant", "knob", "value", "unit"];
-const FIGURES: [&str; 16] = [
+const CASE_COLUMNS: [&str; 4] = ["variant", "knob", "value", "unit"];
+const FIGURE_COLUMNS: [&str; 16] = [
     "scans",
     "failed",
     "mean_delay_us",
@@ -30,7 +30,7 @@ const FIGURES: [&str; 16] = [
     "drift_per_m_rmse_rad",
     "mean_iterations",
 ];
-const SCAN: [&str; 12] = [
+const SCAN_COLUMNS: [&str; 12] = [
     "knob",
     "value",
     "unit",
@@ -45,14 +45,14 @@ const SCAN: [&str; 12] = [
     "orientation_error_rad",
 ];
 
-/// The tables that grow with every run: `runs.csv`, and of each variant all scans in `scans/VARIANT.csv`.
+/// The tables that grow with every run: `runs.csv`, and `scans/VARIANT.csv` with all scans of a variant.
 pub struct RunFiles {
     runs: Table,
     scans: Vec<(Variant, Table)>,
 }
 
 impl RunFiles {
-    /// Begins the tables of a plan in `folder`.
+    /// Creates the tables of a plan in `folder`.
     pub fn create(folder: &Path, plan: &Plan) -> Result<Self, ProfileError> {
         let scans_folder = folder.join("scans");
         fs::create_dir_all(&scans_folder).map_err(|error| ProfileError::write(&scans_folder, error))?;
@@ -60,14 +60,14 @@ impl RunFiles {
         for case in &plan.cases {
             if scans.iter().all(|(variant, _)| *variant != case.variant) {
                 let path = scans_folder.join(format!("{}.csv", case.variant));
-                scans.push((case.variant, Table::create(path, &SCAN)?));
+                scans.push((case.variant, Table::create(path, &SCAN_COLUMNS)?));
             }
         }
-        let runs = Table::create(folder.join("runs.csv"), &[&CASE[..], &["round"], &FIGURES].concat())?;
+        let runs = Table::create(folder.join("runs.csv"), &[&CASE_COLUMNS[..], &["round"], &FIGURE_COLUMNS].concat())?;
         Ok(Self { runs, scans })
     }
 
-    /// Adds a run.
+    /// Appends the rows of a run.
     pub fn add(&mut self, case: &Case, round: u32, run: &Run, figures: &Figures) -> Result<(), ProfileError> {
         if let Some((_, table)) = self.scans.iter_mut().find(|(variant, _)| *variant == case.variant) {
             for scan in &run.scans {
@@ -79,15 +79,15 @@ impl RunFiles {
         self.runs.flush()
     }
 
-    /// The study is done: puts the tables in their places.
+    /// Completes the study: commits all tables, replacing older ones.
     pub fn finish(self) -> Result<(), ProfileError> {
         self.scans.into_iter().map(|(_, table)| table).chain([self.runs]).try_for_each(Table::finish)
     }
 }
 
-/// Writes the summary of a study.
+/// Writes the summary table of a study.
 pub fn write_summary(path: PathBuf, cases: &[CaseSummary]) -> Result<(), ProfileError> {
-    let mut table = Table::create(path, &[&CASE[..], &["rounds"], &FIGURES].concat())?;
+    let mut table = Table::create(path, &[&CASE_COLUMNS[..], &["rounds"], &FIGURE_COLUMNS].concat())?;
     for summary in cases {
         table.write(&row(&summary.case, summary.rounds, &summary.figures))?;
     }
@@ -95,7 +95,7 @@ pub fn write_summary(path: PathBuf, cases: &[CaseSummary]) -> Result<(), Profile
 }
 
 fn scan_row(case: &Case, round: u32, scan: &ScanRecord) -> Vec<String> {
-    let or_empty = |figure: Option<f64>| figure.map_or_else(String::new, |v| v.to_string());
+    let or_empty = |value: Option<f64>| value.map_or_else(String::new, |v| v.to_string());
     vec![
         case.knob.name().into(),
         case.value.to_string(),
@@ -124,7 +124,7 @@ fn row(case: &Case, round: u32, figures: &Figures) -> Vec<String> {
     row
 }
 
-/// A CSV file that names itself in errors.
+/// A CSV file whose errors include its path.
 struct Table {
     path: PathBuf,
     writer: csv::Writer<OutputFile>,
@@ -132,7 +132,7 @@ struct Table {
 
 impl Table {
     fn create(path: PathBuf, header: &[&str]) -> Result<Self, ProfileError> {
-        let file = OutputFile::record(&path).map_err(|error| ProfileError::write(&path, error))?;
+        let file = OutputFile::create_growing(&path).map_err(|error| ProfileError::write(&path, error))?;
         let mut table = Self { path, writer: csv::Writer::from_writer(file) };
         table.write(header)?;
         Ok(table)

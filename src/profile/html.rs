@@ -1,14 +1,14 @@
-//! The report: one page of HTML with everything in it.
+//! The report: a single self-contained HTML page.
 
 use std::fmt::Write as _;
 
 use super::knob::Knob;
 use super::pictures::Picture;
-use super::results::{ERROR_MEANS, Results};
+use super::results::{ERROR_DEFINITION, Results};
 use super::summary::CaseSummary;
 use super::tables;
 
-/// How a report looks.
+/// Style sheet of the reports.
 pub(crate) const STYLE: &str = "
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2rem auto; padding: 0 1rem; }
 h1, h2 { line-height: 1.2; } h2 { margin-top: 3rem; border-bottom: 1px solid #ddd; padding-bottom: .3rem; }
@@ -19,31 +19,31 @@ th:first-child, td:first-child, table.facts td { text-align: left; } table.facts
 pre { background: #f6f7f8; padding: .8rem; overflow-x: auto; } summary { cursor: pointer; font-weight: 600; margin: .6rem 0; }
 ";
 
-/// Text as HTML shows it, in content and in quoted attributes.
+/// Escapes text for HTML content and quoted attributes.
 ///
 /// ```
 /// assert_eq!(anytime_scan_matcher::profile::html::escaped("<a & 'b'>"), "&lt;a &amp; &#39;b&#39;&gt;");
 /// ```
 pub fn escaped(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
-    for letter in text.chars() {
-        match letter {
+    for character in text.chars() {
+        match character {
             '&' => escaped.push_str("&amp;"),
             '<' => escaped.push_str("&lt;"),
             '>' => escaped.push_str("&gt;"),
             '"' => escaped.push_str("&quot;"),
             '\'' => escaped.push_str("&#39;"),
-            _ => escaped.push(letter),
+            _ => escaped.push(character),
         }
     }
     escaped
 }
 
-/// The page. `command` is what was typed.
+/// Renders the page. `command` is the command line of the study.
 pub fn report(results: &Results, pictures: &[Picture], command: &str) -> String {
     let mut page = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
-         <title>Profile of {0}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>Delay and error: profile of {0}</h1>\n",
+         <title>Profile of {0}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>Delay and error profile of {0}</h1>\n",
         escaped(&results.provenance.bag)
     );
     let mut add = |text: &str| page.push_str(text);
@@ -68,12 +68,12 @@ pub fn report(results: &Results, pictures: &[Picture], command: &str) -> String 
 fn contents(pictures: &[Picture]) -> String {
     let entry = |name: &str, title: &str| format!("<li><a href=\"#{}\">{}</a></li>\n", escaped(name), escaped(title));
     let pictures: String = pictures.iter().map(|picture| entry(&picture.name, &picture.title)).collect();
-    let tables = [("cost", "Cost of an iteration"), ("look_up", "Look-up table"), ("summary", "All figures")];
+    let tables = [("cost", "Cost of an iteration"), ("look_up", "Look-up table"), ("summary", "Summary")];
     let tables: String = tables.iter().map(|(name, title)| entry(name, title)).collect();
     format!("<ul>\n{pictures}{tables}</ul>\n")
 }
 
-/// What was measured, on what, and how.
+/// What was measured, on which data and how.
 fn facts(results: &Results, command: &str) -> String {
     let from = &results.provenance;
     let parameters: Vec<String> = from.parameters.iter().map(|(path, value)| format!("{path}={value}")).collect();
@@ -82,7 +82,7 @@ fn facts(results: &Results, command: &str) -> String {
     let knobs: Vec<&str> = results.knobs().iter().map(|knob| knob.name()).collect();
     let facts = [
         ("bag", from.bag.clone()),
-        ("truth", from.truth.clone()),
+        ("ground truth", from.truth.clone()),
         (
             "topics",
             [Some(from.scan_topic.clone()), from.odometry_topic.clone()].into_iter().flatten().collect::<Vec<_>>().join(", "),
@@ -90,13 +90,13 @@ fn facts(results: &Results, command: &str) -> String {
         ("scans", format!("{} of {} beams", from.scans, from.beams)),
         ("variants", variants.join(", ")),
         ("knobs", knobs.join(", ")),
-        ("rounds", format!("{}, each in an order of its own (seed {})", from.rounds, from.seed)),
+        ("rounds", format!("{}, each in a different random order (seed {})", from.rounds, from.seed)),
         ("clock", from.clock.clone()),
-        ("parameters not at their defaults", or_none(parameters.join(", "))),
-        ("program", format!("anytime_scan_matcher {}", from.version)),
-        ("errors", ERROR_MEANS.into()),
-        ("delays", "from a scan's arrival in the process to its answer; each figure is the median over the rounds".into()),
-        ("values", values(results)),
+        ("non-default parameters", or_none(parameters.join(", "))),
+        ("version", format!("anytime_scan_matcher {}", from.version)),
+        ("errors", ERROR_DEFINITION.into()),
+        ("delays", "from the arrival of a scan in the process to its answer; each value is the median over the rounds".into()),
+        ("tested values", value_counts(results)),
     ];
     let row = |(what, value): &(&str, String)| format!("<tr><td>{what}</td><td>{}</td></tr>\n", escaped(value));
     let rows: Vec<String> = facts.iter().map(row).collect();
@@ -104,23 +104,23 @@ fn facts(results: &Results, command: &str) -> String {
     format!("<pre>{}</pre>\n<table class=\"facts\">\n{rows}</table>\n", escaped(command))
 }
 
-/// How many values of each knob were tried, and of which variants others.
-fn values(results: &Results) -> String {
+/// Number of tested values of each knob, and the variants with fewer.
+fn value_counts(results: &Results) -> String {
     let of_knob = |knob: Knob| {
-        let counts: Vec<_> = results.variants().iter().map(|&variant| (variant, results.of(variant, knob).len())).collect();
-        let most = counts.iter().map(|(_, count)| *count).max().unwrap_or(0);
-        let fewer = counts.iter().filter(|(_, count)| (1..most).contains(count));
+        let counts: Vec<_> = results.variants().iter().map(|&variant| (variant, results.cases_of(variant, knob).len())).collect();
+        let max_count = counts.iter().map(|(_, count)| *count).max().unwrap_or(0);
+        let fewer = counts.iter().filter(|(_, count)| (1..max_count).contains(count));
         let fewer: Vec<String> = fewer.map(|(variant, count)| format!("{variant} {count}")).collect();
         if fewer.is_empty() {
-            format!("{}: {most}", knob.name())
+            format!("{}: {max_count}", knob.name())
         } else {
-            format!("{}: {most} ({})", knob.name(), fewer.join(", "))
+            format!("{}: {max_count} ({})", knob.name(), fewer.join(", "))
         }
     };
     results.knobs().into_iter().map(of_knob).collect::<Vec<_>>().join("; ")
 }
 
-/// A table of text.
+/// An HTML table.
 pub(crate) fn table<'a>(header: &[&str], rows: impl Iterator<Item = Vec<String>> + 'a) -> String {
     let mut text = String::from("<table>\n<tr>");
     for name in header {
@@ -144,17 +144,17 @@ fn cost_table(results: &Results) -> String {
     });
     format!(
         "<h2 id=\"cost\">Cost of an iteration</h2>\n{}",
-        table(&["variant", "setup [us]", "per ray [ns]", "iteration of all rays [us]"], rows)
+        table(&["variant", "setup [us]", "per ray [ns]", "iteration with all rays [us]"], rows)
     )
 }
 
-/// The look-up table, and what it is worth beside contracts where that was asked for.
+/// The look-up table and, if requested, its comparison with time contracts.
 fn look_up_tables(results: &Results) -> String {
-    let look_up = table(&tables::LOOK_UP, tables::look_up_rows(results));
-    let mut text = format!("<h2 id=\"look_up\">Look-up table</h2>\n<p>{}</p>\n{look_up}", escaped(tables::LOOK_UP_MEANS));
+    let look_up = table(&tables::LOOK_UP_HEADER, tables::look_up_rows(results));
+    let mut text = format!("<h2 id=\"look_up\">Look-up table</h2>\n<p>{}</p>\n{look_up}", escaped(tables::LOOK_UP_DESCRIPTION));
     if !results.comparisons.is_empty() {
-        let comparison = table(&tables::COMPARISON, tables::comparison_rows(results));
-        let _ = write!(text, "<p>{}</p>\n{comparison}", escaped(tables::COMPARISON_MEANS));
+        let comparison = table(&tables::COMPARISON_HEADER, tables::comparison_rows(results));
+        let _ = write!(text, "<p>{}</p>\n{comparison}", escaped(tables::COMPARISON_DESCRIPTION));
     }
     text
 }
@@ -174,7 +174,7 @@ fn summary_tables(results: &Results) -> String {
         "drift per m [mm]",
         "iterations",
     ];
-    let mut text = String::from("<h2 id=\"summary\">All figures</h2>\n");
+    let mut text = String::from("<h2 id=\"summary\">Summary</h2>\n");
     for knob in results.knobs() {
         let rows = results.cases.iter().filter(|case| case.case.knob == knob).map(summary_row);
         let _ = writeln!(text, "<details open><summary>{}</summary>\n{}</details>", knob.name(), table(&header, rows));

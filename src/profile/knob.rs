@@ -1,4 +1,4 @@
-//! The knobs whose trade-off between delay and error is measured.
+//! The parameters (knobs) whose trade-off between delay and error is measured.
 
 use std::time::Duration;
 
@@ -8,29 +8,29 @@ use crate::knobs::{KnobValue, Seconds, Value};
 use crate::matching::MatchingKnobs;
 
 crate::choices! {
-    /// A knob to turn.
+    /// A parameter that a study varies.
     pub enum Knob {
-        /// Iterations of a match at most.
+        /// Maximum iterations of a match.
         MaxIterations = "max_iterations",
-        /// Time from a scan's arrival to its pose.
+        /// Maximum time from the arrival of a scan to its pose.
         TimeBudget = "time_budget",
-        /// Rays of a scan that are matched; 0: all.
+        /// Maximum rays of a scan that are matched; 0: all.
         Beams = "beams",
-        /// Way after which a scan becomes the reference of the next ones.
+        /// Driven distance after which a scan becomes a new keyframe.
         KeyframeDistance = "keyframe_distance",
-        /// Particles of the filter.
+        /// Number of particles of the filter.
         Particles = "particles",
-        /// Period of the timer that drives the filter; 0: every scan does.
+        /// Period of the filter's update timer; 0: every scan triggers an update.
         UpdatePeriod = "update_period",
     }
 }
 
-/// What there is to know of a knob.
+/// Properties of a knob.
 struct Description {
     path: &'static str,
     unit: &'static str,
     values: &'static [f64],
-    /// For searches other than the default one: a few values show where they stand.
+    /// Values for correspondence searches other than the default one: a few suffice to compare them.
     few_values: &'static [f64],
 }
 
@@ -73,18 +73,18 @@ impl Knob {
         }
     }
 
-    /// The path of the parameter in the configuration.
+    /// Name of the parameter in the configuration, with its group.
     pub fn path(self) -> &'static str {
         self.description().path
     }
 
-    /// Unit of its values; empty for a count.
+    /// Unit of the values; empty for counts.
     pub fn unit(self) -> &'static str {
         self.description().unit
     }
 
-    /// Whether it makes a difference to a variant.
-    pub fn is_of(self, variant: Variant) -> bool {
+    /// Whether the knob affects a variant.
+    pub fn applies_to(self, variant: Variant) -> bool {
         match self {
             Self::TimeBudget => true,
             Self::Particles | Self::UpdatePeriod => variant == Variant::Filter,
@@ -92,7 +92,7 @@ impl Knob {
         }
     }
 
-    /// The values that are tried unless others are asked for.
+    /// The values that are tested if none are given.
     pub fn default_values(self, variant: Variant) -> &'static [f64] {
         let description = self.description();
         match variant.search() {
@@ -102,12 +102,12 @@ impl Knob {
         }
     }
 
-    /// Whether its values are times.
+    /// Whether the values are times.
     fn is_time(self) -> bool {
         matches!(self, Self::TimeBudget | Self::UpdatePeriod)
     }
 
-    /// A value in the knob's unit from text: a number, for times also `5ms`.
+    /// Parses a value in the knob's unit: a number, for times also with a unit such as `5ms`.
     pub fn parse(self, text: &str) -> Result<f64, String> {
         let value = text.parse::<f64>().map_or_else(|_| Value::from(text), Value::from);
         let number = match self {
@@ -117,7 +117,7 @@ impl Knob {
         number.map_err(|problem| format!("{}: {problem}", self.name()))
     }
 
-    /// A value for people.
+    /// Formats a value for reports.
     pub fn show(self, value: f64) -> String {
         match self {
             Self::TimeBudget if value == 0.0 => "no limit".into(),
@@ -130,18 +130,18 @@ impl Knob {
         }
     }
 
-    /// Where a value stands among others: what lifts a limit comes last.
-    pub(super) fn rank(self, value: f64) -> f64 {
-        let lifts = matches!(self, Self::TimeBudget | Self::Beams) && value == 0.0;
-        if lifts { f64::INFINITY } else { value }
+    /// Sort key of a value: 0, if it means "no limit", comes last.
+    pub(super) fn sort_key(self, value: f64) -> f64 {
+        let is_unlimited = matches!(self, Self::TimeBudget | Self::Beams) && value == 0.0;
+        if is_unlimited { f64::INFINITY } else { value }
     }
 
-    /// Sets the knob in a configuration.
+    /// Sets the knob's value in a configuration.
     pub fn set(self, config: &mut Config, value: f64) -> Result<(), ConfigError> {
-        // Knobs that count take no 8.0.
-        #[allow(clippy::cast_possible_truncation)] // of whole numbers, saturating: the configuration checks the range
-        let as_text_has_it = if value.fract() == 0.0 { Value::from(value as i64) } else { Value::from(value) };
-        config.set(self.path(), &as_text_has_it, self.name())
+        // Knobs that are counts accept 8 but not 8.0.
+        #[allow(clippy::cast_possible_truncation)] // whole numbers only, saturating: the configuration checks the range
+        let number = if value.fract() == 0.0 { Value::from(value as i64) } else { Value::from(value) };
+        config.set(self.path(), &number, self.name())
     }
 }
 
@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_come_as_people_write_them() {
+    fn values_are_parsed_with_and_without_units() {
         assert_eq!(Knob::TimeBudget.parse("5ms"), Ok(0.005));
         assert_eq!(Knob::TimeBudget.parse("0.005"), Ok(0.005));
         assert_eq!(Knob::KeyframeDistance.parse("0.5"), Ok(0.5));
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn every_default_value_is_one_the_configuration_takes() {
+    fn the_configuration_accepts_every_default_value() {
         for &knob in Knob::ALL {
             for variant in Variant::matchers().into_iter().chain([Variant::Filter]) {
                 for value in knob.default_values(variant) {

@@ -1,35 +1,38 @@
-//! The look-up table of the study that contracts come from: delay = a + b * iterations + c * rays, and the iterations that fit into a time.
+//! The look-up table approach of the study that introduced contracts: a fitted delay = a + b * iterations + c * rays determines
+//! how many iterations fit into a time limit.
 //!
-//! Beside it stands what the learned costs say, by which the scan matcher keeps its contracts.
+//! For comparison, the same number is computed from the learned costs that the scan matcher uses to keep its contracts.
 
 use std::time::Duration;
 
 use nalgebra::{Matrix2, Vector2};
 
 use super::cost::Level;
-use crate::anytime::Outlook;
+use crate::anytime::RemainingBudget;
 use crate::anytime::cost_model::{CostModel, Phase};
 
-/// Iterations that a configuration may ask for at most (`matching.max_iterations`).
-const MOST_ITERATIONS: u32 = 1000;
-/// Iterations and rays whose correlation is nearer to 1 than this are one quantity: the delay says nothing of each by itself.
-const COLLINEAR: f64 = 1e-9;
+/// Largest `matching.max_iterations` that the configuration accepts.
+const MAX_ITERATIONS: u32 = 1000;
+/// Singular values of the correlation matrix of iterations and rays below this count as zero: the two are then collinear and
+/// their effects on the delay cannot be separated.
+const MIN_SINGULAR_VALUE: f64 = 1e-9;
 
-/// A plane through the delays of all answers, by least squares.
+/// A least-squares plane through the delays of all answers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LookUpTable {
     /// a: delay without any iteration, us.
     pub setup_us: f64,
-    /// b: of each iteration, us.
+    /// b: delay per iteration, us.
     pub per_iteration_us: f64,
-    /// c: of each ray of an iteration, us.
+    /// c: delay per ray of an iteration, us.
     pub per_ray_us: f64,
-    /// The part of the delays' variance that it explains (R^2).
+    /// Fraction of the delays' variance that the plane explains (R^2).
     pub r_squared: f64,
 }
 
 impl LookUpTable {
-    /// Through answers of (iterations, rays in all of them together, delay in us); `None` when all took as many iterations and rays.
+    /// Fits the plane to answers given as (iterations, rays summed over the iterations, delay in us); `None` if all have the same
+    /// iterations and rays.
     pub fn fit(answers: &[(u32, u64, f64)]) -> Option<Self> {
         let count = answers.len() as f64;
         let rows = || answers.iter().map(|&(iterations, rays, delay)| (Vector2::new(f64::from(iterations), rays as f64), delay));
@@ -43,7 +46,7 @@ impl LookUpTable {
             correlation += scaled * scaled.transpose() / count;
             with_delay += scaled * (delay - mean_delay) / count;
         }
-        let slopes = correlation.pseudo_inverse(COLLINEAR).ok()? * with_delay;
+        let slopes = correlation.pseudo_inverse(MIN_SINGULAR_VALUE).ok()? * with_delay;
         let slopes = slopes.component_div(&scale);
         let fitted = |row: Vector2<f64>| mean_delay + slopes.dot(&(row - mean));
         let residual: f64 = rows().map(|(row, delay)| (delay - fitted(row)).powi(2)).sum();
@@ -56,58 +59,58 @@ impl LookUpTable {
         })
     }
 
-    /// The delay to expect, us, of so many iterations with so many rays in all of them together.
+    /// Expected delay, us. `rays` is summed over the iterations.
     pub fn delay_us(&self, iterations: u32, rays: u64) -> f64 {
         self.setup_us + self.per_iteration_us * f64::from(iterations) + self.per_ray_us * rays as f64
     }
 
-    /// How many iterations fit into `delta`.
+    /// Number of iterations that fit into `delta`.
     pub fn iterations_for(&self, delta: Duration, rays: &RaysByIteration) -> u32 {
         let delta_us = delta.as_secs_f64() * 1e6;
-        (1..=MOST_ITERATIONS).take_while(|&n| self.delay_us(n, rays.after(n)) <= delta_us).last().unwrap_or(0)
+        (1..=MAX_ITERATIONS).take_while(|&n| self.delay_us(n, rays.after(n)) <= delta_us).last().unwrap_or(0)
     }
 }
 
-/// How many iterations fit into `delta` by learned costs, with the confidence that they were learned for.
+/// Number of iterations that fit into `delta` according to learned costs, with the confidence that the costs were learned for.
 pub fn iterations_by_costs(costs: &CostModel, delta: Duration, rays: &RaysByIteration) -> u32 {
-    let outlook = Outlook::new(costs, delta, delta);
+    let remaining = RemainingBudget::new(costs, delta, delta);
     let size = |rays: u64| usize::try_from(rays).unwrap_or(usize::MAX);
     let mut pieces = vec![(Phase::Setup, size(rays.all))];
     let fits = |n: &u32| {
         let last = size(rays.after(*n) - rays.after(n - 1));
         pieces.push((Phase::Iteration, last));
         pieces.push((Phase::Closing, last));
-        let fits = outlook.allows_for(&pieces);
+        let fits = remaining.fits(&pieces);
         pieces.pop();
         fits
     };
-    (1..=MOST_ITERATIONS).take_while(fits).last().unwrap_or(0)
+    (1..=MAX_ITERATIONS).take_while(fits).last().unwrap_or(0)
 }
 
-/// Rays that have taken part after so many iterations: a match begins with few of them.
+/// Cumulative number of rays by iteration: the first iterations of a match use few rays.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RaysByIteration {
-    /// After none, one, two, ... iterations.
+    /// Rays used after 0, 1, 2, ... iterations.
     rays: Vec<u64>,
     /// Rays of a scan.
     all: u64,
 }
 
 impl RaysByIteration {
-    /// By the answers of so many iterations, and the rays of a scan.
+    /// From measured levels, and the number of rays of a scan.
     pub fn new(levels: &[Level], all: u64) -> Self {
         let mut rays = vec![0];
         for level in levels {
             let before = rays[rays.len() - 1];
             let missing = u64::from(level.iterations).saturating_sub(rays.len() as u64 - 1);
-            // Where no answer took so many iterations, evenly.
+            // Interpolate linearly over iteration counts without an answer.
             let step = level.rays.saturating_sub(before) / missing.max(1);
             rays.extend((1..=missing).map(|k| before + k * step));
         }
         Self { rays, all }
     }
 
-    /// After `iterations` of them; all rays in each of those that no answer took.
+    /// Rays used after `iterations` iterations; iterations beyond the measured ones count with all rays.
     pub fn after(&self, iterations: u32) -> u64 {
         let known = self.rays.len() - 1;
         let iterations = iterations as usize;
@@ -125,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn the_plane_through_the_delays_is_found_with_what_it_explains() {
+    fn the_plane_and_its_r_squared_are_found() {
         let answers: Vec<_> = (0..300_u32)
             .map(|i| (1 + i % 7, u64::from(100 + 37 * (i % 11)), f64::from(i % 3) - 1.0))
             .map(|(n, rays, noise)| (n, rays, 20.0 + 4.0 * f64::from(n) + 0.05 * rays as f64 + noise))
@@ -136,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn where_iterations_and_rays_are_one_it_still_tells_delays() {
+    fn collinear_iterations_and_rays_still_predict_delays() {
         let answers: Vec<_> = (1..6_u32).map(|n| (n, u64::from(100 * n), 10.0 + 5.0 * f64::from(n))).collect();
         let table = LookUpTable::fit(&answers).unwrap();
         assert!((table.delay_us(3, 300) - 25.0).abs() < 1e-6 && table.r_squared > 0.999_999, "{table:?}");
@@ -145,9 +148,9 @@ mod tests {
     }
 
     #[test]
-    fn as_many_iterations_fit_as_their_rays_allow() {
+    fn the_rays_limit_how_many_iterations_fit() {
         let table = LookUpTable { setup_us: 10.0, per_iteration_us: 2.0, per_ray_us: 0.1, r_squared: 1.0 };
-        // 100 rays, 100, then 400.
+        // Iterations with 100, 100, then 400 rays each.
         let rays = RaysByIteration::new(&levels([(1, 100, 0.0), (2, 200, 0.0), (4, 1000, 0.0)]), 400);
         assert_eq!([0, 1, 2, 3, 4, 6].map(|n| rays.after(n)), [0, 100, 200, 600, 1000, 1800]);
         let fitting = [5, 22, 23, 34, 76, 118, 160].map(|delta| table.iterations_for(us(delta), &rays));
@@ -165,6 +168,6 @@ mod tests {
         costs.learn();
         let rays = RaysByIteration::new(&[], 400);
         let fitting = [20, 44, 57, 67].map(|delta| iterations_by_costs(&costs, us(delta), &rays));
-        assert_eq!(fitting, [0, 0, 2, 3], "20 + n 10 + 5, and one of them 10 longer");
+        assert_eq!(fitting, [0, 0, 2, 3], "20 + 10 n + 5, with one slow iteration that takes 10 longer");
     }
 }

@@ -1,13 +1,15 @@
-//! The trade-off between delay and error: the whole bag under every variant and value of a knob, in interleaved rounds.
+//! Performance profiles: the trade-off between delay and error, measured by replaying a bag with every variant and knob value in
+//! interleaved rounds.
 //!
-//! A [`plan`] says what is run; a [`study`] runs it ([`run`]) and sums it up ([`summary`]) in tables ([`csv_files`]), [`pictures`], a
-//! page that gathers them ([`html`]) and a file for the node and for planners ([`crate::io::profile_file`]). Besides the runs it fits what an
-//! iteration costs ([`cost`]), times the correspondence searches ([`search_time`]), and holds the look-up table of delays ([`look_up`])
-//! against contracts by learned costs ([`comparison`]).
+//! A [`plan`] lists the cases; a [`study`] runs them ([`run`]) and summarizes the results ([`summary`]) in tables
+//! ([`csv_files`]), [`pictures`], an HTML report ([`html`]) and a profile file for the node and for planners
+//! ([`crate::io::profile_file`]). It also fits the cost of an iteration ([`cost`]), times the correspondence searches
+//! ([`search_time`]), and compares a look-up table of delays ([`look_up`]) with contracts based on learned costs
+//! ([`comparison`]).
 //!
-//! Errors are those of `anytime evaluate`: of each pose, after the rigid motion that lays the whole trajectory onto the truth with the
-//! least squared distance of the positions (ATE). They are the same to the last bit in every run, except where a time budget is kept
-//! by the machine's clock.
+//! Errors are computed as by `anytime evaluate`: absolute trajectory error (ATE) of each pose after least-squares rigid alignment
+//! of the whole trajectory to the ground truth. They are bitwise identical in every run, unless a time budget runs on the
+//! machine's clock.
 
 pub mod comparison;
 pub mod cost;
@@ -39,31 +41,31 @@ use crate::evaluation::plot::PlotError;
 use crate::evaluation::trajectory::TrajectoryError;
 use crate::io::bag::BagError;
 
-/// Why a study was not done.
+/// Why a study failed.
 #[derive(Debug, Error)]
 pub enum ProfileError {
     /// The bag cannot be read.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// A value is none of its knob's.
+    /// The configuration rejects a value of a knob.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The contract of the configuration is invalid.
     #[error(transparent)]
     Contract(#[from] ContractError),
-    /// The particle filter cannot be had.
+    /// The particle filter cannot start.
     #[error(transparent)]
     Localizer(#[from] LocalizerError),
-    /// A file of the configuration cannot be read.
+    /// The scan matcher cannot start, for example because a configured file cannot be read.
     #[error(transparent)]
     Start(#[from] StartError),
-    /// The answers make no trajectory.
-    #[error("the answers make no trajectory: {0} (is there a scan that can be read on the topic?)")]
+    /// The answers form no valid trajectory.
+    #[error("the estimated poses form no valid trajectory: {0} (does the topic carry readable scans?)")]
     Trajectory(#[from] TrajectoryError),
-    /// The truth is of another time.
+    /// The estimated poses cannot be associated with the ground truth, for example because their stamps do not overlap.
     #[error(transparent)]
     Association(#[from] AssociationError),
-    /// A picture cannot be drawn.
+    /// A plot cannot be rendered.
     #[error(transparent)]
     Plot(#[from] PlotError),
     /// A file cannot be written.
@@ -71,7 +73,7 @@ pub enum ProfileError {
     Write {
         /// The file.
         path: PathBuf,
-        /// The system's reason.
+        /// The operating system's error.
         error: io::Error,
     },
 }

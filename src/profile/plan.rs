@@ -1,4 +1,4 @@
-//! What is to be run, and in which order.
+//! Which cases are run, and in which order.
 
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
@@ -7,14 +7,14 @@ use super::knob::Knob;
 use super::variant::Variant;
 use crate::config::{Config, ConfigError};
 
-/// A variant with one knob turned to one value.
+/// A variant with one knob set to one value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
     /// The variant.
     pub variant: Variant,
     /// The knob.
     pub knob: Knob,
-    /// Its value, in its unit.
+    /// Value of the knob, in its unit.
     pub value: f64,
 }
 
@@ -28,40 +28,40 @@ impl Case {
     }
 }
 
-/// A knob and the values to try; `None`: the knob's own.
+/// A knob and the values to test.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sweep {
     /// The knob.
     pub knob: Knob,
-    /// Its values, in its unit.
+    /// Values in the knob's unit; `None`: its default values.
     pub values: Option<Vec<f64>>,
 }
 
-/// Every case, run once in every round.
+/// All cases; each is run once per round.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    /// By variant, knob and value.
+    /// The cases, sorted by variant, knob and value.
     pub cases: Vec<Case>,
-    /// How often each is run.
+    /// Number of runs of each case.
     pub rounds: u32,
-    /// Of the order within the rounds.
+    /// Seed of the order within the rounds.
     pub seed: u32,
 }
 
 impl Plan {
-    /// Every variant with every value of every sweep that makes a difference to it. A value that the configuration refuses is an error
+    /// Combines every variant with every value of every sweep that affects it. A value that the configuration rejects is an error
     /// here, before anything is run.
     pub fn new(base: &Config, variants: &[Variant], sweeps: &[Sweep], rounds: u32, seed: u32) -> Result<Self, ConfigError> {
         let mut cases: Vec<Case> = Vec::new();
         for &variant in variants {
-            for sweep in sweeps.iter().filter(|sweep| sweep.knob.is_of(variant)) {
+            for sweep in sweeps.iter().filter(|sweep| sweep.knob.applies_to(variant)) {
                 let knob = sweep.knob;
                 let mut values = sweep.values.clone().unwrap_or_else(|| knob.default_values(variant).to_vec());
-                values.sort_by(|a, b| knob.rank(*a).total_cmp(&knob.rank(*b)));
+                values.sort_by(|a, b| knob.sort_key(*a).total_cmp(&knob.sort_key(*b)));
                 cases.extend(values.into_iter().map(|value| Case { variant, knob, value }));
             }
         }
-        // A value or variant asked for twice is run once.
+        // Duplicate values and variants are run once.
         let mut distinct: Vec<Case> = Vec::new();
         for case in cases {
             case.config(base)?;
@@ -72,14 +72,15 @@ impl Plan {
         Ok(Self { cases: distinct, rounds, seed })
     }
 
-    /// The order of the cases in a round: another one in each, so that drifts of the machine hit all alike.
+    /// The random order of the cases in a round. It differs between rounds, so that slow changes of the machine affect all cases
+    /// equally.
     pub fn order(&self, round: u32) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.cases.len()).collect();
         order.shuffle(&mut Pcg64::new(self.seed.into(), round.into()));
         order
     }
 
-    /// How many runs there are in all.
+    /// Total number of runs.
     pub fn runs(&self) -> usize {
         self.cases.len() * self.rounds as usize
     }
@@ -95,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn every_round_runs_every_case_once_in_an_order_of_its_own() {
+    fn every_round_runs_every_case_once_in_a_different_order() {
         let plan = plan(&[8.0, 1.0, 8.0]).unwrap();
         let cases = 2 * Variant::matchers().len();
         assert_eq!((plan.cases.len(), plan.runs()), (cases, 3 * cases));
@@ -110,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_out_of_range_is_refused_before_anything_is_run() {
+    fn a_value_out_of_range_is_rejected_before_anything_is_run() {
         let problem = plan(&[4.0, 0.0]).unwrap_err().to_string();
         assert!(problem.contains("matching.max_iterations") && problem.contains("1 to 1000"), "{problem}");
         assert!(plan(&[1.5]).is_err());

@@ -1,4 +1,4 @@
-//! What a study has found, for tables, pictures and the profile.
+//! Results of a study, for tables, plots and the profile file.
 
 use super::comparison::Comparison;
 use super::cost::{IterationCost, Level};
@@ -8,52 +8,51 @@ use super::run::Run;
 use super::search_time::SearchTime;
 use super::summary::CaseSummary;
 use super::variant::Variant;
-use crate::anytime::mode::Ranges;
+use crate::anytime::mode::ConditionRanges;
 use crate::evaluation::trajectory::Trajectory;
 use crate::io::profile_file::{Budget, ExpectedError, Profile, Provenance, VariantProfile};
-use crate::matching::classic::correspondence::Correspondence;
+use crate::matching::classic::correspondence::CorrespondenceKind;
 use crate::matching::solver::SolverKind;
 
-/// What the errors of a study are, for those who read its files.
-pub const ERROR_MEANS: &str = "of each pose against the truth interpolated to its stamp, after the one rigid motion that lays the \
-    whole trajectory onto the truth with the least squared distance of the positions (absolute trajectory error, as `anytime evaluate` \
-    has it); it holds the drift of the whole drive";
+/// Definition of the errors, for readers of the files of a study.
+pub const ERROR_DEFINITION: &str = "absolute trajectory error as of `anytime evaluate`: of each pose against the ground truth interpolated \
+    to its stamp, after least-squares rigid alignment of the whole trajectory to the ground truth; it includes the drift of the whole drive";
 
-/// Delay against iterations of one variant.
+/// Delay of one variant by iterations, and the models fitted to it.
 #[derive(Clone, Debug)]
 pub struct VariantCost {
     /// The variant.
     pub variant: Variant,
-    /// Median delays.
+    /// Median delays by number of iterations.
     pub levels: Vec<Level>,
-    /// The line through them.
+    /// Cost model fitted to the levels.
     pub model: Option<IterationCost>,
-    /// The plane through all delays.
+    /// Look-up table fitted to the delays of all answers.
     pub look_up: Option<LookUpTable>,
 }
 
-/// What a study has found.
+/// Results of a study.
 pub struct Results {
-    /// By variant, knob and value.
+    /// Summaries of the cases, sorted by variant, knob and value.
     pub cases: Vec<CaseSummary>,
     /// The first run of each case.
     pub first_runs: Vec<Run>,
-    /// Of each variant.
+    /// Costs of each variant.
     pub costs: Vec<VariantCost>,
-    /// The look-up table beside contracts.
+    /// Comparisons of the look-up table with contracts.
     pub comparisons: Vec<Comparison>,
-    /// Of each kind of search.
+    /// Times of the correspondence searches.
     pub search_times: Vec<SearchTime>,
-    /// The truth.
+    /// The ground truth.
     pub truth: Trajectory,
-    /// Where the figures come from.
+    /// Data and settings that the results come from.
     pub provenance: Provenance,
 }
 
 impl Results {
-    /// The cases, of one variant and for one turn of a knob each, that stand for the study where a picture cannot show all.
-    pub fn showcase(&self) -> Vec<usize> {
-        showcase(self.cases.iter().map(|summary| (summary.case.variant, summary.case.knob)))
+    /// Indices of the cases that represent the study where a plot cannot show all: those of one variant and one knob.
+    pub fn representative_cases(&self) -> Vec<usize> {
+        representative_cases(self.cases.iter().map(|summary| (summary.case.variant, summary.case.knob)))
     }
 
     /// The variants, in the order of the cases.
@@ -61,45 +60,45 @@ impl Results {
         self.costs.iter().map(|cost| cost.variant).collect()
     }
 
-    /// The knobs that were turned.
+    /// The knobs that were varied.
     pub fn knobs(&self) -> Vec<Knob> {
         Knob::ALL.iter().copied().filter(|knob| self.cases.iter().any(|summary| summary.case.knob == *knob)).collect()
     }
 
-    /// The cases of a variant that turn a knob.
-    pub fn of(&self, variant: Variant, knob: Knob) -> Vec<&CaseSummary> {
+    /// The cases of a variant that vary a knob.
+    pub fn cases_of(&self, variant: Variant, knob: Knob) -> Vec<&CaseSummary> {
         self.cases.iter().filter(|summary| summary.case.variant == variant && summary.case.knob == knob).collect()
     }
 
-    /// The profile: delays by time budget if that was turned, else by the next best knob.
+    /// The performance profile: by time budget if that was varied, otherwise by the first varied knob of the list below.
     pub fn profile(&self) -> Profile {
         let variants = self.costs.iter().filter_map(|cost| {
             let knobs = [Knob::TimeBudget, Knob::MaxIterations, Knob::Beams, Knob::KeyframeDistance, Knob::Particles];
-            let knob = *knobs.iter().find(|&&knob| !self.of(cost.variant, knob).is_empty())?;
-            let expected = expectations(&self.of(cost.variant, knob), cost.model, self.conditions(cost.variant, knob))?;
+            let knob = *knobs.iter().find(|&&knob| !self.cases_of(cost.variant, knob).is_empty())?;
+            let expected = variant_profile(&self.cases_of(cost.variant, knob), cost.model, self.conditions(cost.variant, knob))?;
             Some((cost.variant.to_string(), expected))
         });
         Profile { provenance: self.provenance.clone(), variants: variants.collect() }
     }
 
-    /// The conditions of the answers of a variant while a knob was turned.
-    fn conditions(&self, variant: Variant, knob: Knob) -> Ranges {
+    /// Ranges of the conditions of a variant's answers while a knob was varied.
+    fn conditions(&self, variant: Variant, knob: Knob) -> ConditionRanges {
         let is_wanted = |summary: &CaseSummary| summary.case.variant == variant && summary.case.knob == knob;
         let runs = self.cases.iter().zip(&self.first_runs).filter(|(summary, _)| is_wanted(summary)).map(|(_, run)| run);
-        Ranges::of(runs.flat_map(|run| run.scans.iter().filter_map(|scan| scan.conditions)))
+        ConditionRanges::of(runs.flat_map(|run| run.scans.iter().filter_map(|scan| scan.conditions)))
     }
 }
 
-/// The cases of the first knob of the default variant, or of the first variant where the default one is not among them.
-pub(super) fn showcase(cases: impl Iterator<Item = (Variant, Knob)>) -> Vec<usize> {
+/// Indices of the cases of the default variant's first knob; of the first variant if the default one is not included.
+pub(super) fn representative_cases(cases: impl Iterator<Item = (Variant, Knob)>) -> Vec<usize> {
     let cases: Vec<_> = cases.collect();
-    let default = Variant::Matcher { search: Correspondence::Projective, solver: SolverKind::PointToLine };
+    let default = Variant::Matcher { search: CorrespondenceKind::Projective, solver: SolverKind::PointToLine };
     let Some(&chosen) = cases.iter().find(|case| case.0 == default).or(cases.first()) else { return Vec::new() };
     (0..cases.len()).filter(|&i| cases[i] == chosen).collect()
 }
 
-/// What to expect of a variant, by the cases that turn one knob; `None` without any.
-fn expectations(cases: &[&CaseSummary], cost: Option<IterationCost>, conditions: Ranges) -> Option<VariantProfile> {
+/// Performance profile of a variant from the cases that vary one knob; `None` if there are none.
+fn variant_profile(cases: &[&CaseSummary], cost: Option<IterationCost>, conditions: ConditionRanges) -> Option<VariantProfile> {
     let knob = cases.first()?.case.knob;
     let budget = |summary: &&CaseSummary| {
         let (position, orientation) = (summary.figures.position, summary.figures.orientation);

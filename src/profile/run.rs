@@ -1,4 +1,4 @@
-//! One run: the whole bag through the application with one configuration, every answer compared with the truth.
+//! One run: replays the whole bag with one configuration and compares every answer with the ground truth.
 
 use std::sync::Arc;
 
@@ -20,72 +20,72 @@ use crate::io::bag::Bag;
 use crate::io::contract_schedule::ContractSchedule;
 use crate::map::grid::OccupancyGrid;
 use crate::matching::IterationTrace;
-use crate::replay::localize::{Answer, localize};
+use crate::replay::localize::{ScanOutcome, localize};
 use crate::replay::map_sketch::MapSketch;
 use crate::replay::{Source, Topics, microseconds, replay};
 use crate::time::Stamp;
 
-/// Matches whose descent is kept.
-const KEPT_DESCENTS: u64 = 200;
+/// Maximum number of matches whose residuals by iteration are kept.
+const MAX_CONVERGENCE_SAMPLES: u64 = 200;
 
 /// The data of a study.
 #[derive(Clone, Copy)]
-pub struct Input<'a> {
-    /// The drive.
+pub struct StudyData<'a> {
+    /// The recorded drive.
     pub bag: &'a Bag,
-    /// What is read of it.
+    /// The topics to read.
     pub topics: &'a Topics,
-    /// What its answers are compared with.
+    /// Ground truth for the answers.
     pub truth: &'a Trajectory,
-    /// The map that the particle filter goes by, in the frame of the truth; `None`: without it there is none.
+    /// The map for the particle filter, in the frame of the ground truth; `None`: the particle filter is not run.
     pub map: Option<&'a OccupancyGrid>,
 }
 
-/// The answer to one scan, and how good it was.
+/// The answer to one scan, and its error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScanRecord {
     /// The scan's stamp.
     pub stamp: Stamp,
-    /// The pose answered.
+    /// The estimated pose.
     pub map_from_base: Pose2,
-    /// Whether it is by a match (or the first one), not a prediction for want of one.
+    /// Whether the pose comes from a match (or is the first one), not only from a prediction.
     pub matched: bool,
-    /// From the scan's arrival to its answer, us; `None` where the particle filter passed it over.
+    /// Time from the arrival of the scan to its answer, us; `None` if the particle filter skipped the scan.
     pub delay_us: Option<f64>,
-    /// Iterations made.
+    /// Number of iterations.
     pub iterations: u32,
-    /// Rays that took part, summed over the iterations.
+    /// Rays used, summed over the iterations.
     pub rays: u64,
-    /// Mean absolute error of the last iteration's inliers, m; `None` when there was no match.
+    /// Mean absolute residual of the last iteration's inliers, m; `None` without a match.
     pub mean_residual: Option<f64>,
-    /// What the estimator found.
+    /// Conditions of the answer: properties of the scan that its error depends on.
     pub conditions: Option<Conditions>,
-    /// The aligned pose seen from the true one; `None` where no truth is near in time.
+    /// The aligned pose relative to the true pose; `None` if no ground truth is close in time.
     pub error: Option<Pose2>,
 }
 
-/// What a run has found.
+/// Results of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Run {
-    /// Every scan, in order.
+    /// All scans, in order.
     pub scans: Vec<ScanRecord>,
-    /// The alignment of the errors: that of the ATE.
+    /// The alignment of the trajectory for the errors (ATE).
     pub truth_from_map: Pose2,
-    /// Drift per metre of the true path, root mean square: m and rad. `None` on paths of less than a metre.
+    /// RMS drift per metre of the true path, m and rad. `None` on paths shorter than a metre.
     pub drift: Option<(f64, f64)>,
-    /// The mean residual before each iteration, m, of a sample of the matches.
-    pub descents: Vec<Vec<f64>>,
-    /// Points of the scans, m, in the map frame; none unless asked for.
+    /// Mean residual before each iteration, m, for a sample of the matches.
+    pub convergence: Vec<Vec<f64>>,
+    /// Points of the scans in the map frame, m; empty unless requested.
     pub scan_points: Vec<Point>,
-    /// Beams of the first scan.
+    /// Number of beams of the first scan.
     pub beams: usize,
-    /// What work was learned to cost, at the end; the particle filter's is not told.
+    /// Learned costs at the end of the run; `None` for the particle filter.
     pub costs: Option<CostModel>,
 }
 
-/// Runs the bag through a variant. `keep_points`: collect points of the scans for a map.
+/// Replays the bag with a variant. `keep_points`: collect the points of the scans for a map.
 pub fn run(
-    input: Input,
+    input: StudyData,
     variant: Variant,
     config: &Config,
     clock: &Arc<dyn Clock>,
@@ -93,16 +93,16 @@ pub fn run(
     on_message: impl FnMut(),
 ) -> Result<Run, ProfileError> {
     let mut run = match (variant, input.map) {
-        (Variant::Filter, Some(map)) => localize_run(input, map, config, clock, on_message)?,
-        _ => match_run(input, config, clock, keep_points, on_message)?,
+        (Variant::Filter, Some(map)) => run_localizer(input, map, config, clock, on_message)?,
+        _ => run_matcher(input, config, clock, keep_points, on_message)?,
     };
-    run.compare(input.truth)?;
+    run.add_errors(input.truth)?;
     Ok(run)
 }
 
-/// By the particle filter, from the first true pose on.
-fn localize_run(
-    input: Input,
+/// Runs the particle filter, initialized at the first true pose.
+fn run_localizer(
+    input: StudyData,
     map: &OccupancyGrid,
     config: &Config,
     clock: &Arc<dyn Clock>,
@@ -120,14 +120,14 @@ fn localize_run(
         if run.scans.is_empty() {
             run.beams = scan.beams(&config.cloud);
         }
-        run.scans.extend(localized(answer));
+        run.scans.extend(localizer_record(answer));
         Ok(())
     })?;
     Ok(run)
 }
 
-/// The record of a scan that was of use, or was passed over.
-fn localized(answer: &Answer) -> Option<ScanRecord> {
+/// Record of a scan of the particle filter; `None` if the scan was rejected.
+fn localizer_record(answer: &ScanOutcome) -> Option<ScanRecord> {
     let record = |stamp, map_from_base| ScanRecord {
         stamp,
         map_from_base,
@@ -140,8 +140,8 @@ fn localized(answer: &Answer) -> Option<ScanRecord> {
         error: None,
     };
     match answer {
-        Answer::Between { stamp, map_from_base } => Some(record(*stamp, *map_from_base)),
-        Answer::Fix(fix) => fix.belief.as_ref().ok().map(|belief| ScanRecord {
+        ScanOutcome::Skipped { stamp, map_from_base } => Some(record(*stamp, *map_from_base)),
+        ScanOutcome::Fix(fix) => fix.belief.as_ref().ok().map(|belief| ScanRecord {
             matched: belief.beams > 0,
             delay_us: Some(microseconds(fix.elapsed)),
             rays: (belief.particles * belief.beams) as u64,
@@ -151,8 +151,8 @@ fn localized(answer: &Answer) -> Option<ScanRecord> {
     }
 }
 
-fn match_run(
-    input: Input,
+fn run_matcher(
+    input: StudyData,
     config: &Config,
     clock: &Arc<dyn Clock>,
     keep_points: bool,
@@ -160,24 +160,24 @@ fn match_run(
 ) -> Result<Run, ProfileError> {
     let mut app = App::new(config, Arc::clone(clock))?;
     if app.contract().time_budget.is_some() {
-        app.warm_up()?; // without a budget nothing asks for costs
+        app.warm_up()?; // costs are only used with a time budget
     }
     let mut sketch = MapSketch::default();
     let mut run = Run::default();
     let scans = input.bag.message_count(Some(&[&input.topics.scan]));
-    let every = usize::try_from(scans.div_ceil(KEPT_DESCENTS)).unwrap_or(1).max(1);
+    let every = usize::try_from(scans.div_ceil(MAX_CONVERGENCE_SAMPLES)).unwrap_or(1).max(1);
     let source = Source { bag: input.bag, topics: input.topics, schedule: &ContractSchedule::default() };
     replay::<ProfileError>(&source, &mut app, &**clock, on_message, |message, estimate, app| {
         if run.scans.is_empty() {
             run.beams = message.beams(&config.cloud);
         }
         if run.scans.len().is_multiple_of(every) && !app.iterations().is_empty() {
-            run.descents.push(app.iterations().iter().map(|iteration| iteration.mean_residual).collect());
+            run.convergence.push(app.iterations().iter().map(|iteration| iteration.mean_residual).collect());
         }
         if keep_points {
             sketch.add(message, estimate, app);
         }
-        run.scans.push(record(estimate, app.iterations()));
+        run.scans.push(matcher_record(estimate, app.iterations()));
         Ok(())
     })?;
     run.scan_points = sketch.points().to_vec();
@@ -185,7 +185,7 @@ fn match_run(
     Ok(run)
 }
 
-fn record(estimate: &Estimate, iterations: &[IterationTrace]) -> ScanRecord {
+fn matcher_record(estimate: &Estimate, iterations: &[IterationTrace]) -> ScanRecord {
     let registration = &estimate.registration;
     ScanRecord {
         stamp: estimate.stamp,
@@ -201,14 +201,14 @@ fn record(estimate: &Estimate, iterations: &[IterationTrace]) -> ScanRecord {
 }
 
 impl Run {
-    /// The trajectory answered.
+    /// The estimated trajectory.
     pub fn trajectory(&self) -> Result<Trajectory, ProfileError> {
         let poses = self.scans.iter().map(|scan| StampedPose { stamp: scan.stamp, pose: scan.map_from_base });
         Ok(Trajectory::new(poses.collect())?)
     }
 
-    /// Fills in the errors, as `anytime evaluate` finds them: after the rigid motion that lays the trajectory onto the truth.
-    fn compare(&mut self, truth: &Trajectory) -> Result<(), ProfileError> {
+    /// Fills in the errors after rigid alignment to the ground truth, as `anytime evaluate` computes them.
+    fn add_errors(&mut self, truth: &Trajectory) -> Result<(), ProfileError> {
         let matched = associate(&self.trajectory()?, truth, Comparison::default().max_dt)?;
         let Some(ate) = ate(&matched) else { return Ok(()) };
         let truth_of = |stamp: Stamp| -> Option<&MatchedPose> {

@@ -1,34 +1,34 @@
-//! Time of one correspondence search, by number of beams and kind of search.
+//! Times of the correspondence searches by number of beams.
 
 use super::ProfileError;
 use crate::anytime::clock::Clock;
 use crate::geometry::Point;
 use crate::io::bag::Bag;
-use crate::matching::classic::correspondence::{Correspondence, Nearest};
+use crate::matching::classic::correspondence::{CorrespondenceKind, Nearest};
 use crate::matching::classic::reference::Reference;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::quantile;
 use crate::replay::microseconds;
 use crate::scan::{MIN_BEAMS, Scan, ScanConverter};
 
-/// Pairs of consecutive scans, spread over the bag.
+/// Approximate number of pairs of consecutive scans, spread over the bag.
 const PAIRS: u64 = 12;
-/// Searches timed of each pair, beam count and kind.
+/// Timed repetitions for each pair, beam count and search.
 const REPEATS: usize = 5;
 
 /// The median time of a search over all points of a scan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SearchTime {
     /// The search.
-    pub search: Correspondence,
-    /// Beams of both scans.
+    pub search: CorrespondenceKind,
+    /// Number of beams of both scans.
     pub beams: usize,
-    /// Median over pairs and repeats, us.
+    /// Median over pairs and repetitions, us.
     pub time_us: f64,
 }
 
-/// Times every search on pairs of consecutive scans, at all beams and at each half of them. Every search starts from nothing, as that of
-/// a match's first iteration does; the reference is prepared before.
+/// Times every search on pairs of consecutive scans, with all beams and with each halving of their number. Every search starts
+/// without initial correspondences, as in the first iteration of a match. The time to prepare the reference is not included.
 pub fn measure(bag: &Bag, scan_topic: &str, max_distance: f64, clock: &dyn Clock) -> Result<Vec<SearchTime>, ProfileError> {
     let pairs = pairs(bag, scan_topic)?;
     let mut converter = ScanConverter::default();
@@ -38,14 +38,14 @@ pub fn measure(bag: &Bag, scan_topic: &str, max_distance: f64, clock: &dyn Clock
         if beams < 2 * MIN_BEAMS {
             break;
         }
-        let mut sub_sampled = |message: &LaserScan| converter.convert(&every(message, stride), false).ok();
+        let mut convert = |message: &LaserScan| converter.convert(&subsampled(message, stride), false).ok();
         let scans: Vec<(Scan, Scan)> =
-            pairs.iter().filter_map(|(first, second)| Some((sub_sampled(first)?, sub_sampled(second)?))).collect();
-        let mut samples = vec![Vec::new(); Correspondence::ALL.len()];
+            pairs.iter().filter_map(|(first, second)| Some((convert(first)?, convert(second)?))).collect();
+        let mut samples = vec![Vec::new(); CorrespondenceKind::ALL.len()];
         for (first, second) in &scans {
             time_pair(first, second, max_distance, clock, &mut samples);
         }
-        for (&search, mut samples) in Correspondence::ALL.iter().filter(|kind| kind.search().is_some()).zip(samples) {
+        for (&search, mut samples) in CorrespondenceKind::ALL.iter().filter(|kind| kind.search().is_some()).zip(samples) {
             samples.sort_by(f64::total_cmp);
             times.extend(quantile::of_sorted(&samples, 0.5).map(|time_us| SearchTime { search, beams, time_us }));
         }
@@ -53,12 +53,12 @@ pub fn measure(bag: &Bag, scan_topic: &str, max_distance: f64, clock: &dyn Clock
     Ok(times)
 }
 
-/// Adds times to the samples of each search. The searches take turns: what slows the machine down hits all alike.
+/// Adds times to the samples of each search. The searches alternate, so that a slowdown of the machine affects all equally.
 fn time_pair(first: &Scan, second: &Scan, max_distance: f64, clock: &dyn Clock, samples: &mut [Vec<f64>]) {
     let mut reference = Reference::default();
     reference.set(first);
     let points: Vec<Point> = second.rays().map(|(_, direction, range)| direction * range).collect();
-    let mut searches: Vec<_> = Correspondence::ALL.iter().filter_map(|kind| kind.search()).collect();
+    let mut searches: Vec<_> = CorrespondenceKind::ALL.iter().filter_map(|kind| kind.search()).collect();
     for search in &mut searches {
         search.prepare(&reference);
     }
@@ -73,7 +73,7 @@ fn time_pair(first: &Scan, second: &Scan, max_distance: f64, clock: &dyn Clock, 
     }
 }
 
-/// Pairs of consecutive scans, spread over the bag.
+/// Reads pairs of consecutive scans, spread over the bag.
 fn pairs(bag: &Bag, scan_topic: &str) -> Result<Vec<(LaserScan, LaserScan)>, ProfileError> {
     let every = (bag.message_count(Some(&[scan_topic])) / PAIRS).max(2);
     let mut pairs = Vec::new();
@@ -93,9 +93,9 @@ fn pairs(bag: &Bag, scan_topic: &str) -> Result<Vec<(LaserScan, LaserScan)>, Pro
     Ok(pairs)
 }
 
-/// Every so many beams of a scan.
-#[allow(clippy::cast_possible_truncation)] // the wire form has 32 bits
-fn every(message: &LaserScan, stride: usize) -> LaserScan {
+/// A scan with every `stride`-th beam.
+#[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
+fn subsampled(message: &LaserScan, stride: usize) -> LaserScan {
     let ranges: Vec<f32> = message.ranges.iter().step_by(stride).copied().collect();
     let increment = f64::from(message.angle_increment) * stride as f64;
     let last = f64::from(message.angle_min) + increment * ranges.len().saturating_sub(1) as f64;

@@ -1,4 +1,4 @@
-//! A study: all runs of a plan, and what they come to.
+//! A study: all runs of a plan, and their results.
 
 use std::fs;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::ProfileError;
-use super::comparison::{Comparison, Ground};
+use super::comparison::{Comparison, ComparisonSetup};
 use super::cost;
 use super::csv_files::{self, RunFiles};
 use super::html;
@@ -14,8 +14,8 @@ use super::knob::Knob;
 use super::look_up::LookUpTable;
 use super::pictures;
 use super::plan::Plan;
-use super::results::{ERROR_MEANS, Results, VariantCost, showcase};
-use super::run::{Input, Run, run};
+use super::results::{ERROR_DEFINITION, Results, VariantCost, representative_cases};
+use super::run::{Run, StudyData, run};
 use super::search_time;
 use super::summary::{CaseSummary, Figures};
 use super::variant::Variant;
@@ -24,37 +24,37 @@ use crate::config::Config;
 use crate::io::profile_file::Provenance;
 use crate::output;
 
-/// What a study is of.
+/// Data and settings of a study.
 pub struct Study<'a> {
-    /// Bag and truth.
-    pub input: Input<'a>,
-    /// What the cases have in common.
+    /// Bag and ground truth.
+    pub input: StudyData<'a>,
+    /// Configuration shared by all cases.
     pub config: &'a Config,
     /// The cases.
     pub plan: &'a Plan,
-    /// Times that the look-up table and contracts are to keep, to be compared.
+    /// Time limits for the comparison of the look-up table with contracts.
     pub deltas: &'a [Duration],
-    /// Makes the clock of a run.
+    /// Creates the clock of a run.
     pub new_clock: &'a dyn Fn() -> Arc<dyn Clock>,
-    /// Names for the records.
+    /// Names of the data, for the report.
     pub names: Names,
 }
 
-/// What the data are called in the records of a study.
+/// Names of the data in the report of a study.
 #[derive(Clone, Debug)]
 pub struct Names {
     /// The bag.
     pub bag: String,
-    /// The true poses: file or topic.
+    /// Source of the ground truth: file or topic.
     pub truth: String,
     /// The clock.
     pub clock: String,
-    /// The command that asked for the study.
+    /// The command line.
     pub command: String,
 }
 
 impl Study<'_> {
-    /// Does all runs and writes all files into `folder`. `on_message` is called for every message read, to show progress.
+    /// Executes all runs and writes all files to `folder`. `on_message` is called for every message read, to show progress.
     pub fn conduct(&self, folder: &Path, mut on_message: impl FnMut()) -> Result<Results, ProfileError> {
         fs::create_dir_all(folder).map_err(|error| ProfileError::write(folder, error))?;
         let mut files = RunFiles::create(folder, self.plan)?;
@@ -62,17 +62,17 @@ impl Study<'_> {
         let mut first_runs = vec![Run::default(); cases.len()];
         let mut figures = vec![Vec::new(); cases.len()];
         let mut answers = vec![Vec::new(); cases.len()];
-        let mapped = showcase(cases.iter().map(|case| (case.variant, case.knob))).pop();
+        let with_map = representative_cases(cases.iter().map(|case| (case.variant, case.knob))).pop();
         for round in 0..self.plan.rounds {
             for i in self.plan.order(round) {
                 let config = cases[i].config(self.config)?;
-                let keep_points = round == 0 && Some(i) == mapped;
+                let keep_points = round == 0 && Some(i) == with_map;
                 let run = run(self.input, cases[i].variant, &config, &(self.new_clock)(), keep_points, &mut on_message)?;
                 let of_run = Figures::of(&run);
                 files.add(&cases[i], round, &run, &of_run)?;
                 figures[i].push(of_run);
-                let made_iterations = run.scans.iter().filter(|scan| scan.iterations > 0);
-                answers[i].extend(made_iterations.filter_map(|scan| Some((scan.iterations, scan.rays, scan.delay_us?))));
+                let with_iterations = run.scans.iter().filter(|scan| scan.iterations > 0);
+                answers[i].extend(with_iterations.filter_map(|scan| Some((scan.iterations, scan.rays, scan.delay_us?))));
                 if round == 0 {
                     first_runs[i] = run;
                 }
@@ -100,7 +100,7 @@ impl Study<'_> {
         Ok(results)
     }
 
-    /// Runs in all.
+    /// Total number of runs.
     pub fn runs(&self) -> usize {
         let mut matchers: Vec<Variant> =
             self.plan.cases.iter().map(|case| case.variant).filter(|v| *v != Variant::Filter).collect();
@@ -108,19 +108,20 @@ impl Study<'_> {
         self.plan.runs() + 2 * matchers.len() * self.deltas.len() * self.plan.rounds as usize
     }
 
-    /// The look-up table beside contracts, of every scan matcher.
+    /// Compares the look-up table with contracts, for every scan matcher.
     fn compare(
         &self,
         costs: &[VariantCost],
         beams: usize,
         mut on_message: impl FnMut(),
     ) -> Result<Vec<Comparison>, ProfileError> {
-        let ground = Ground { input: self.input, config: self.config, rounds: self.plan.rounds, new_clock: self.new_clock };
+        let setup =
+            ComparisonSetup { input: self.input, config: self.config, rounds: self.plan.rounds, new_clock: self.new_clock };
         let mut comparisons = Vec::new();
         for cost in costs.iter().filter(|cost| cost.variant != Variant::Filter) {
             let Some(table) = &cost.look_up else { continue };
             for &delta in self.deltas {
-                comparisons.push(ground.compare(cost.variant, delta, (table, &cost.levels, beams), &mut on_message)?);
+                comparisons.push(setup.compare(cost.variant, delta, (table, &cost.levels, beams), &mut on_message)?);
             }
         }
         Ok(comparisons)
@@ -134,7 +135,7 @@ impl Study<'_> {
             scan_topic: self.input.topics.scan.clone(),
             odometry_topic: self.input.topics.odometry.clone(),
             truth: names.truth.clone(),
-            error: ERROR_MEANS.into(),
+            error: ERROR_DEFINITION.into(),
             scans: runs.first().map_or(0, |run| run.scans.len()),
             beams: runs.first().map_or(0, |run| run.beams),
             rounds: self.plan.rounds,
@@ -163,13 +164,14 @@ impl Study<'_> {
     }
 }
 
-/// Delay against iterations, of all runs that use every ray; the look-up table of all. `answers` of each case: iterations, rays and delay in us.
+/// Fits the costs of each variant: the cost model to all runs that use every ray, the look-up table to all runs. `answers` holds
+/// iterations, rays and delay in us of the answers of each case.
 fn costs(cases: &[CaseSummary], answers: &[Vec<(u32, u64, f64)>]) -> Vec<VariantCost> {
     let mut variants: Vec<Variant> = cases.iter().map(|summary| summary.case.variant).collect();
     variants.dedup();
-    let of = |variant: Variant, beams_too: bool| {
+    let of = |variant: Variant, include_beams: bool| {
         let is_wanted =
-            move |summary: &CaseSummary| summary.case.variant == variant && (beams_too || summary.case.knob != Knob::Beams);
+            move |summary: &CaseSummary| summary.case.variant == variant && (include_beams || summary.case.knob != Knob::Beams);
         cases.iter().zip(answers).filter(move |(summary, _)| is_wanted(summary)).flat_map(|(_, answers)| answers.iter().copied())
     };
     let cost = |variant: Variant| {

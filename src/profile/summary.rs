@@ -1,4 +1,4 @@
-//! What runs come to.
+//! Summary statistics of runs.
 
 use super::plan::Case;
 use super::run::Run;
@@ -12,18 +12,18 @@ pub struct Delays {
     pub mean: f64,
     /// Median.
     pub p50: f64,
-    /// At percentile 99.
+    /// 99th percentile.
     pub p99: f64,
 }
 
-/// Sizes of errors: of positions in m, or of orientations in rad.
+/// Statistics of absolute errors: of positions in m, or of orientations in rad.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ErrorFigures {
-    /// Mean of the squares.
+    /// Mean square.
     pub mean_square: f64,
     /// Mean.
     pub mean: f64,
-    /// At percentile 95.
+    /// 95th percentile.
     pub p95: f64,
 }
 
@@ -38,33 +38,33 @@ impl ErrorFigures {
         }
     }
 
-    /// Root of the mean square.
+    /// Root mean square.
     pub fn rmse(&self) -> f64 {
         self.mean_square.sqrt()
     }
 }
 
-/// The figures of one run, or of the runs of a case.
+/// Statistics of one run, or medians over the runs of a case.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Figures {
-    /// Scans answered.
+    /// Number of scans with an answer.
     pub scans: usize,
-    /// Those answered with a prediction, for want of a match.
+    /// Number of scans without a match, answered with a prediction.
     pub failed: f64,
     /// Delays.
     pub delay: Delays,
-    /// Errors of positions.
+    /// Position errors.
     pub position: ErrorFigures,
-    /// Errors of orientations.
+    /// Orientation errors.
     pub orientation: ErrorFigures,
-    /// Drift per metre of path, root mean square: m and rad; NaN on paths of less than a metre.
+    /// RMS drift per metre of the path, m and rad; NaN on paths shorter than a metre.
     pub drift: (f64, f64),
-    /// Iterations per scan.
+    /// Mean number of iterations per scan.
     pub mean_iterations: f64,
 }
 
 impl Figures {
-    /// Those of one run.
+    /// Statistics of one run.
     pub fn of(run: &Run) -> Self {
         let scans = run.scans.len();
         let count = scans.max(1) as f64;
@@ -86,7 +86,7 @@ impl Figures {
         }
     }
 
-    /// The median of each figure over rounds. Without a time budget only delays differ between them.
+    /// Medians over rounds. Without a time budget only the delays differ between rounds.
     pub fn median(rounds: &[Self]) -> Self {
         let of =
             |figure: &dyn Fn(&Self) -> f64| Statistics::of(rounds.iter().map(figure).collect()).map_or(f64::NAN, |s| s.median);
@@ -107,12 +107,12 @@ impl Figures {
     }
 }
 
-/// A case and what its runs came to.
+/// A case and the statistics of its runs.
 #[derive(Clone, Debug)]
 pub struct CaseSummary {
     /// The case.
     pub case: Case,
-    /// Rounds run.
+    /// Number of rounds.
     pub rounds: u32,
     /// Medians over the rounds.
     pub figures: Figures,
@@ -123,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_median_of_equal_rounds_is_each_of_them_to_the_last_bit() {
+    fn the_median_of_equal_rounds_is_bitwise_equal_to_each() {
         let round = |mean: f64| Figures {
             delay: Delays { mean, ..Delays::default() },
             position: ErrorFigures::of(vec![0.1, 0.3, 0.2]),

@@ -1,4 +1,4 @@
-//! A variant: a scan matcher, that is, a correspondence search and a solver; or the particle filter.
+//! Variants: a scan matcher (a correspondence search with a solver) or the particle filter.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,11 +7,11 @@ use thiserror::Error;
 
 use crate::config::Config;
 use crate::knobs::{KnobValue, nearest_name};
-use crate::matching::classic::correspondence::Correspondence;
+use crate::matching::classic::correspondence::CorrespondenceKind;
 use crate::matching::solver::SolverKind;
 
-/// The name of the particle filter.
-const FILTER: &str = "particle_filter";
+/// Name of the particle filter variant.
+const FILTER_NAME: &str = "particle_filter";
 
 /// A scan matcher, named `search+solver`, or `particle_filter`.
 ///
@@ -26,22 +26,22 @@ const FILTER: &str = "particle_filter";
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Variant {
-    /// Matches scans.
+    /// A scan matcher.
     Matcher {
-        /// How correspondences are found.
-        search: Correspondence,
-        /// How the pose is found.
+        /// The correspondence search.
+        search: CorrespondenceKind,
+        /// The solver.
         solver: SolverKind,
     },
-    /// Finds the robot on a map.
+    /// The particle filter.
     Filter,
 }
 
-/// A name that is no variant's.
+/// An unknown variant name.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
-    "there is no variant '{name}'{hint}; a variant is SEARCH+SOLVER with SEARCH {} and SOLVER {}, or particle_filter",
-    Correspondence::kind(),
+    "unknown variant '{name}'{hint}; expected particle_filter, or SEARCH+SOLVER with SEARCH {} and SOLVER {}",
+    CorrespondenceKind::kind(),
     SolverKind::kind()
 )]
 pub struct VariantError {
@@ -50,22 +50,22 @@ pub struct VariantError {
 }
 
 impl Variant {
-    /// Every search with every solver that it serves.
+    /// Every search with every solver that it supports.
     pub fn matchers() -> Vec<Self> {
-        let served = |&search: &Correspondence| SolverKind::ALL.iter().filter(move |&&solver| search.serves(solver));
-        let with = |search| served(search).map(move |&solver| Self::Matcher { search: *search, solver });
-        Correspondence::ALL.iter().flat_map(with).collect()
+        let solvers = |&search: &CorrespondenceKind| SolverKind::ALL.iter().filter(move |&&solver| search.supports(solver));
+        let with = |search| solvers(search).map(move |&solver| Self::Matcher { search: *search, solver });
+        CorrespondenceKind::ALL.iter().flat_map(with).collect()
     }
 
-    /// How correspondences are found; `None`: there are none.
-    pub fn search(self) -> Option<Correspondence> {
+    /// The correspondence search; `None` for the particle filter.
+    pub fn search(self) -> Option<CorrespondenceKind> {
         match self {
             Self::Matcher { search, .. } => Some(search),
             Self::Filter => None,
         }
     }
 
-    /// How the pose of a match is found.
+    /// The solver; `None` for the particle filter.
     pub fn solver(self) -> Option<SolverKind> {
         match self {
             Self::Matcher { solver, .. } => Some(solver),
@@ -85,7 +85,7 @@ impl fmt::Display for Variant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Matcher { search, solver } => write!(f, "{}+{}", search.name(), solver.name()),
-            Self::Filter => f.write_str(FILTER),
+            Self::Filter => f.write_str(FILTER_NAME),
         }
     }
 }

@@ -1,8 +1,8 @@
-//! The walls of a map, one bit a cell.
+//! The walls of a map, with one bit per cell.
 
 use crate::map::grid::{Cell, OccupancyGrid};
 
-/// Where walls are, within a border of one cell at which every walk ends.
+/// Bitmap of the walls, with a border of one cell at which every traversal ends.
 #[derive(Clone, Debug)]
 pub(super) struct WallBits {
     width: usize,
@@ -31,12 +31,12 @@ impl WallBits {
         self.words[index / 64] |= 1 << (index % 64);
     }
 
-    /// From a cell to the one above it.
+    /// Index difference between a cell and the one above it.
     pub(super) fn stride(&self) -> usize {
         self.width
     }
 
-    /// The cell of the grid that holds a point; `None` outside the map.
+    /// Index of the cell that contains a point; `None` outside the map.
     #[inline]
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked
     pub(super) fn index(&self, x: f32, y: f32) -> Option<usize> {
@@ -44,13 +44,13 @@ impl WallBits {
         inside.then(|| (y as usize + 1) * self.width + x as usize + 1)
     }
 
-    /// Whether a walk ends in this cell: at a wall or at the border.
+    /// Whether a traversal ends in this cell: a wall, or the border.
     #[inline]
     pub(super) fn stops(&self, index: usize) -> bool {
         self.words[index / 64] >> (index % 64) & 1 == 1
     }
 
-    /// Whether a cell is around the map, not in it.
+    /// Whether a cell belongs to the border around the map.
     pub(super) fn is_border(&self, index: usize) -> bool {
         let (column, row) = (index % self.width, index / self.width);
         column == 0 || row == 0 || column + 1 == self.width || row + 1 == self.height

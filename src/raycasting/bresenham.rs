@@ -1,15 +1,15 @@
-//! Bresenham's line, modified to visit every cell that the ray touches, from wherever in a cell it starts.
+//! Bresenham's line algorithm, modified to visit every cell that the ray touches, from any start within a cell.
 
 use super::bits::WallBits;
 use super::{Fan, RayCaster, Viewpoint};
 use crate::map::grid::OccupancyGrid;
 
-/// Parts of a cell that positions are rounded to.
+/// Resolution of positions, units per cell.
 const SUBCELLS: f32 = 4096.0;
-/// Parts of 1 that the components of directions are rounded to.
+/// Resolution of the components of directions, units per 1.
 const UNIT: f32 = 1_048_576.0;
 
-/// Walks cell by cell.
+/// Traverses the grid cell by cell.
 pub(super) struct Bresenham {
     walls: WallBits,
     max_range: f32,
@@ -23,28 +23,28 @@ impl Bresenham {
     fn length(&self, start: usize, from: &Viewpoint, direction: [f32; 2]) -> f32 {
         let (mut x, mut y) = (Axis::new(from.x, direction[0], 1), Axis::new(from.y, direction[1], self.walls.stride()));
         let mut index = start;
-        // Which boundary is nearer, multiplied by both components so that nothing is divided.
+        // Its sign indicates which boundary is nearer; both sides are multiplied by the components to avoid a division.
         let mut error = x.first * y.speed - y.first * x.speed;
         let (step_x, step_y) = (y.speed * SUBCELLS as i64, x.speed * SUBCELLS as i64);
-        let mut last_in_x = true;
-        let most = (self.max_range * (direction[0].abs() + direction[1].abs())) as usize + 2;
-        for _ in 0..most {
+        let mut last_step_is_in_x = true;
+        let max_steps = (self.max_range * (direction[0].abs() + direction[1].abs())) as usize + 2;
+        for _ in 0..max_steps {
             if self.walls.stops(index) {
                 if index == start {
                     return 0.0;
                 }
-                let length = if last_in_x { x.length() } else { y.length() };
+                let length = if last_step_is_in_x { x.length() } else { y.length() };
                 return if self.walls.is_border(index) || length > self.max_range { f32::INFINITY } else { length };
             }
             if error == 0 && self.walls.stops(index.wrapping_add(y.stride)) {
-                // Through a corner: both neighbours are touched.
-                last_in_x = false;
+                // Through a corner the ray touches both neighbours.
+                last_step_is_in_x = false;
                 index = index.wrapping_add(y.advance());
                 error -= step_y;
                 continue;
             }
-            last_in_x = error <= 0;
-            if last_in_x {
+            last_step_is_in_x = error <= 0;
+            if last_step_is_in_x {
                 index = index.wrapping_add(x.advance());
                 error += step_x;
             } else {
@@ -56,13 +56,13 @@ impl Bresenham {
     }
 }
 
-/// The walk along one axis.
+/// Traversal along one axis.
 struct Axis {
-    /// Way to the first boundary, subcells.
+    /// Distance to the first boundary, subcells.
     first: i64,
-    /// Component of the direction, without its sign.
+    /// Magnitude of the component of the direction.
     speed: i64,
-    /// What a step adds to the index of the cell; wraps when it leads back.
+    /// What a step adds to the index of the cell; wraps around for negative directions.
     stride: usize,
     steps: i64,
 }
@@ -84,7 +84,7 @@ impl Axis {
         self.stride
     }
 
-    /// Length of the ray to the boundary passed last, cells.
+    /// Length of the ray up to the boundary crossed last, cells.
     fn length(&self) -> f32 {
         ((self.steps - 1) as f32 + self.first as f32 / SUBCELLS) * UNIT / self.speed as f32
     }

@@ -1,23 +1,23 @@
-//! Ray marching on a distance transform, made exact: leaps that cannot pass a wall, and cell by cell where one is near.
+//! Exact ray marching on a distance transform: leaps that cannot cross a wall, and cell by cell near walls.
 
 use super::{Fan, RayCaster, Viewpoint};
 use crate::map::distance::DistanceField;
 use crate::map::grid::{Cell, OccupancyGrid};
 
-/// Parts of a cell that leaps are rounded down to.
+/// Leaps are rounded down to multiples of this, cells.
 const LEAP_UNIT: f32 = 0.5;
-/// Where the ray enters a cell it goes on by this much, cells, lest rounding keep it out.
+/// Extra length when the ray enters a cell, cells, so that rounding does not keep it outside.
 const INTO_CELL: f32 = 1e-3;
-/// The entry of a cell that ends the march.
+/// Entry of a cell that ends the march.
 const WALL: u8 = 0;
-/// The entry of a cell to be passed through to its boundary.
+/// Entry of a cell near a wall: march only to its boundary.
 const NEAR: u8 = 1;
 
-/// Leaps from every cell, within a border at which every march ends.
+/// Lengths of the leaps from every cell, with a border at which every march ends.
 pub(super) struct RayMarching {
     width: usize,
     height: usize,
-    /// Row by row, border included: [`WALL`], [`NEAR`], or how far to leap, [`LEAP_UNIT`]s.
+    /// Row by row, border included: [`WALL`], [`NEAR`], or the length of the leap in [`LEAP_UNIT`]s.
     leaps: Vec<u8>,
     max_range: f32,
 }
@@ -30,7 +30,7 @@ impl RayMarching {
         for row in 0..grid.height() {
             for column in 0..grid.width() {
                 let distance = distances.at(column as i64, row as i64) as f32;
-                // From centre to centre: the start and the wall may each be half a diagonal nearer.
+                // Distances are between centres; the start and the wall may each be half a diagonal nearer.
                 let leap = ((distance - std::f32::consts::SQRT_2) / LEAP_UNIT) as u8;
                 leaps[(row + 1) * width + column + 1] = if distance == 0.0 { WALL } else { leap.max(NEAR) };
             }
@@ -38,21 +38,21 @@ impl RayMarching {
         Self { width, height, leaps, max_range }
     }
 
-    /// The length of a beam, its start given with the border: cells.
+    /// The length of a beam, cells; the start is given in coordinates that include the border.
     #[inline]
     fn length(&self, [x, y]: [f32; 2], direction: [f32; 2]) -> f32 {
-        // So that nothing is divided by zero; within any map it makes no difference.
+        // Avoids a division by zero; within a map the difference does not matter.
         let [dx, dy] = direction.map(|part| if part.abs() < 1e-9 { 1e-9 } else { part });
         let (by_dx, by_dy) = (dx.recip(), dy.recip());
-        let ahead = [dx, dy].map(|part| if part > 0.0 { 1.0_f32 } else { 0.0 });
+        let far_side = [dx, dy].map(|part| if part > 0.0 { 1.0_f32 } else { 0.0 });
         let mut length = 0.0_f32;
         while length <= self.max_range {
             let (column, row) = ((x + length * dx) as usize, (y + length * dy) as usize);
             match self.leaps[row * self.width + column] {
                 WALL => return if self.is_border(column, row) { f32::INFINITY } else { (length - INTO_CELL).max(0.0) },
                 NEAR => {
-                    let boundary_x = (column as f32 + ahead[0] - x) * by_dx;
-                    let boundary_y = (row as f32 + ahead[1] - y) * by_dy;
+                    let boundary_x = (column as f32 + far_side[0] - x) * by_dx;
+                    let boundary_y = (row as f32 + far_side[1] - y) * by_dy;
                     length = boundary_x.min(boundary_y).max(length) + INTO_CELL;
                 }
                 leap => length += f32::from(leap) * LEAP_UNIT,
@@ -65,7 +65,7 @@ impl RayMarching {
         column == 0 || row == 0 || column + 1 == self.width || row + 1 == self.height
     }
 
-    /// The start of beams, with the border; `None` outside the map.
+    /// The start of the beams in coordinates that include the border; `None` outside the map.
     fn start(&self, from: &Viewpoint) -> Option<[f32; 2]> {
         let inside = from.x >= 0.0 && from.y >= 0.0 && from.x < (self.width - 2) as f32 && from.y < (self.height - 2) as f32;
         inside.then_some([from.x + 1.0, from.y + 1.0])

@@ -1,44 +1,44 @@
-//! Every answer computed beforehand: the lengths from the middle of every cell where a robot can be, in every direction.
+//! Precomputed look-up table: the lengths from the centre of every cell where a robot can be, in every direction.
 //!
-//! The answers are those of a [`Cddt`] with fine strips, for it is faster than to march every beam; it also answers where no robot is.
+//! The lengths come from a [`Cddt`] with fine strips, because that is faster than marching every beam. It also serves the cells outside
+//! the table.
 
 use super::cddt::Cddt;
-
 use super::{Fan, RayCaster, Viewpoint, sector};
 use crate::geometry::Pose2;
 use crate::map::grid::OccupancyGrid;
 use crate::map::indoors::indoor_cells;
 use crate::parallel;
 
-/// Directions of a full turn.
+/// Number of directions.
 const DIRECTIONS: u32 = 360;
-/// A cell that is not in the table: no robot is there. Should a beam be asked for all the same, the CDDT answers.
+/// Entry of a cell outside the table, where no robot can be; the CDDT serves such cells.
 const NOT_LISTED: u32 = u32::MAX;
-/// The entry of a beam that meets nothing.
+/// Entry of a beam that hits nothing.
 const NOTHING: u16 = u16::MAX;
-/// The largest entry that is a length.
-const LONGEST: f32 = 65_000.0;
-/// Strips of the CDDT in the width of a cell.
-const FINENESS: f32 = 2.0;
-/// Cells that are worked on together: from neighbours, in the same direction, the same strips are asked.
-const CELLS: usize = 64;
+/// Largest entry that is a length.
+const MAX_ENTRY: f32 = 65_000.0;
+/// Number of CDDT strips per cell width.
+const STRIPS_PER_CELL: f32 = 2.0;
+/// Number of cells that are filled together: neighbours read the same strips, which stay in the cache.
+const CHUNK_CELLS: usize = 64;
 
-/// The table.
+/// The look-up table.
 pub(super) struct Table {
     width: usize,
-    /// Which block of `lengths` is a cell's.
+    /// By cell: index of its block in `lengths`, or [`NOT_LISTED`].
     blocks: Vec<u32>,
     lengths: Vec<u16>,
-    /// Cells in a unit of `lengths`.
+    /// Unit of `lengths`, cells.
     unit: f32,
-    others: Cddt,
+    cddt: Cddt,
 }
 
 impl Table {
     pub(super) fn new(grid: &OccupancyGrid, max_range: f32) -> Self {
-        let others = Cddt::with(grid, max_range, DIRECTIONS, FINENESS);
+        let cddt = Cddt::with(grid, max_range, DIRECTIONS, STRIPS_PER_CELL);
         let diagonal = (grid.width() as f32).hypot(grid.height() as f32);
-        let unit = max_range.min(diagonal) / LONGEST;
+        let unit = max_range.min(diagonal) / MAX_ENTRY;
         let listed = indoor_cells(grid);
         let mut blocks = vec![NOT_LISTED; grid.cells().len()];
         for (block, &index) in listed.iter().enumerate() {
@@ -46,32 +46,32 @@ impl Table {
         }
         let directions = DIRECTIONS as usize;
         let mut lengths = vec![NOTHING; listed.len() * directions];
-        parallel::map(lengths.chunks_mut(directions * CELLS).zip(listed.chunks(CELLS)), |(entries, cells)| {
-            let middle =
+        parallel::map(lengths.chunks_mut(directions * CHUNK_CELLS).zip(listed.chunks(CHUNK_CELLS)), |(entries, cells)| {
+            let centre =
                 |index: &usize| Pose2::new((index % grid.width()) as f64 + 0.5, (index / grid.width()) as f64 + 0.5, 0.0);
-            let middles: Vec<Viewpoint> = cells.iter().map(|index| Viewpoint::new(&middle(index))).collect();
+            let centres: Vec<Viewpoint> = cells.iter().map(|index| Viewpoint::new(&centre(index))).collect();
             for direction in 0..directions {
-                for (entries, middle) in entries.chunks_exact_mut(directions).zip(&middles) {
-                    let length = others.length(middle, direction);
+                for (entries, centre) in entries.chunks_exact_mut(directions).zip(&centres) {
+                    let length = cddt.length(centre, direction);
                     if length.is_finite() {
-                        entries[direction] = (length / unit).min(LONGEST) as u16;
+                        entries[direction] = (length / unit).min(MAX_ENTRY) as u16;
                     }
                 }
             }
         });
-        Self { width: grid.width(), blocks, lengths, unit, others }
+        Self { width: grid.width(), blocks, lengths, unit, cddt }
     }
 
-    /// The block of the cell that holds a point, if it has one.
+    /// The block of the cell that contains a point, if the cell is in the table.
     #[inline]
     fn block(&self, from: &Viewpoint) -> Option<usize> {
-        let is_right = from.x >= 0.0 && from.y >= 0.0 && from.x < self.width as f32;
-        let index = is_right.then(|| (from.y as usize).saturating_mul(self.width).saturating_add(from.x as usize))?;
+        let is_within_width = from.x >= 0.0 && from.y >= 0.0 && from.x < self.width as f32;
+        let index = is_within_width.then(|| (from.y as usize).saturating_mul(self.width).saturating_add(from.x as usize))?;
         self.blocks.get(index).filter(|&&block| block != NOT_LISTED).map(|&block| block as usize)
     }
 }
 
-/// Memory that the table of a map takes, bytes.
+/// Memory that the table of a map needs, bytes.
 pub(super) fn memory_for(grid: &OccupancyGrid) -> usize {
     indoor_cells(grid).len() * DIRECTIONS as usize * size_of::<u16>() + grid.cells().len() * size_of::<u32>()
 }
@@ -79,9 +79,9 @@ pub(super) fn memory_for(grid: &OccupancyGrid) -> usize {
 impl RayCaster for Table {
     fn cast(&self, from: &[Viewpoint], fan: &Fan, lengths: &mut [f32]) {
         fan.fill(from, lengths, |from, beam| {
-            let direction = sector(beam.turn_from(from), DIRECTIONS);
+            let direction = sector(beam.heading_from(from), DIRECTIONS);
             let Some(block) = self.block(from) else {
-                return self.others.length_at_once(from).unwrap_or_else(|| self.others.length(from, direction));
+                return self.cddt.special_length(from).unwrap_or_else(|| self.cddt.length(from, direction));
             };
             let entry = self.lengths[block * DIRECTIONS as usize + direction];
             if entry == NOTHING { f32::INFINITY } else { f32::from(entry) * self.unit }
@@ -89,6 +89,6 @@ impl RayCaster for Table {
     }
 
     fn memory(&self) -> usize {
-        size_of_val(self.blocks.as_slice()) + size_of_val(self.lengths.as_slice()) + self.others.memory()
+        size_of_val(self.blocks.as_slice()) + size_of_val(self.lengths.as_slice()) + self.cddt.memory()
     }
 }

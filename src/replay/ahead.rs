@@ -1,7 +1,7 @@
-//! A bag's messages with the odometry ahead of the rest: what only a recording can give.
+//! Returns the messages of a bag with the odometry ahead of all others, which is possible only with a recording.
 //!
-//! Odometry that was stamped late comes after the scans that it belongs to. A robot has to answer without it; who reads a bag knows what came
-//! later.
+//! Odometry that was stamped late arrives after the scans to which it belongs. A robot must process these scans without it; when
+//! a bag is read, the later odometry is already known.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -10,43 +10,45 @@ use crate::io::bag::{BagError, BagMessage};
 use crate::messages::header_stamp;
 use crate::time::Stamp;
 
-/// Messages of a bag, those of one topic earlier than the others.
-pub(super) struct Ahead<'a, 'bag, I> {
+/// Iterator over the messages of a bag that returns those of one topic earlier than the others.
+pub(super) struct EarlyTopic<'a, 'bag, I> {
     messages: I,
     topic: Option<&'a str>,
-    /// So much earlier, s.
-    by: f64,
-    /// Messages of other topics, until their time has come.
+    /// How much earlier, s.
+    advance: f64,
+    /// Messages of other topics, held back until they are due.
     held: VecDeque<BagMessage<'bag>>,
-    /// So many of them are handed on whatever the time.
-    flushed: usize,
-    /// When the last one of the topic was recorded, and its stamp.
+    /// Number of held messages to return regardless of their time.
+    to_flush: usize,
+    /// Recording time and stamp of the last message of the topic.
     last: Option<(Stamp, Stamp)>,
 }
 
-impl<'a, 'bag, I: Iterator<Item = Result<BagMessage<'bag>, BagError>>> Ahead<'a, 'bag, I> {
-    pub(super) fn new(messages: I, topic: Option<&'a str>, by: Duration) -> Self {
-        Self { messages, topic, by: by.as_secs_f64(), held: VecDeque::new(), flushed: 0, last: None }
+impl<'a, 'bag, I: Iterator<Item = Result<BagMessage<'bag>, BagError>>> EarlyTopic<'a, 'bag, I> {
+    pub(super) fn new(messages: I, topic: Option<&'a str>, advance: Duration) -> Self {
+        Self { messages, topic, advance: advance.as_secs_f64(), held: VecDeque::new(), to_flush: 0, last: None }
     }
 
-    /// Whether a message's stamp has not gone on as the time has: the clock was set, and everything stays in its order.
+    /// Whether the stamp of a message has changed differently from the recording time: then the clock was set, and the messages
+    /// must stay in their order.
     fn has_jumped(&mut self, message: &BagMessage) -> bool {
         let stamp = header_stamp(&message.data).unwrap_or(message.time);
         let last = self.last.replace((message.time, stamp));
-        last.is_some_and(|(time, before)| (stamp.seconds_since(before) - message.time.seconds_since(time)).abs() > self.by)
+        last.is_some_and(|(time, before)| (stamp.seconds_since(before) - message.time.seconds_since(time)).abs() > self.advance)
     }
 
+    /// Returns the next held message if it is due, or in any case without `now`.
     fn take_held(&mut self, now: Option<Stamp>) -> Option<BagMessage<'bag>> {
-        let is_due = |message: &BagMessage| now.is_none_or(|now| now.seconds_since(message.time) >= self.by);
-        if self.flushed == 0 && !self.held.front().is_some_and(is_due) {
+        let is_due = |message: &BagMessage| now.is_none_or(|now| now.seconds_since(message.time) >= self.advance);
+        if self.to_flush == 0 && !self.held.front().is_some_and(is_due) {
             return None;
         }
-        self.flushed = self.flushed.saturating_sub(1);
+        self.to_flush = self.to_flush.saturating_sub(1);
         self.held.pop_front()
     }
 }
 
-impl<'bag, I: Iterator<Item = Result<BagMessage<'bag>, BagError>>> Iterator for Ahead<'_, 'bag, I> {
+impl<'bag, I: Iterator<Item = Result<BagMessage<'bag>, BagError>>> Iterator for EarlyTopic<'_, 'bag, I> {
     type Item = Result<BagMessage<'bag>, BagError>;
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -65,7 +67,7 @@ impl<'bag, I: Iterator<Item = Result<BagMessage<'bag>, BagError>>> Iterator for 
                 if !self.has_jumped(&message) {
                     return Some(Ok(message));
                 }
-                self.flushed = self.held.len() + 1;
+                self.to_flush = self.held.len() + 1;
             }
             self.held.push_back(message);
         }
@@ -79,9 +81,10 @@ mod tests {
     use crate::messages::nav_msgs::Odometry;
     use crate::messages::sensor_msgs::LaserScan;
 
-    /// What comes of three seconds of odometry and scans, 10 times a second each, whose odometry is stamped so much earlier from the
-    /// middle on, s: whether it is odometry, and the tenth of a second when it was recorded.
-    fn order(by: u64, set_back: f64) -> Vec<(bool, i64)> {
+    /// The order in which messages are returned if the odometry is advanced by `advance` ms: for each, whether it is odometry,
+    /// and its recording time in tenths of a second. The bag has three seconds of odometry and scans at 10 Hz; in its second
+    /// half, the stamps of the odometry are set back by `set_back` s.
+    fn order(advance: u64, set_back: f64) -> Vec<(bool, i64)> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("x.bag");
         let mut writer = BagWriter::create_whole(&path, Compression::None).unwrap();
@@ -97,7 +100,7 @@ mod tests {
         }
         writer.finish().unwrap();
         let bag = Bag::open(&path).unwrap();
-        let messages = Ahead::new(bag.messages(None), Some("/odom"), Duration::from_millis(by)).map(Result::unwrap);
+        let messages = EarlyTopic::new(bag.messages(None), Some("/odom"), Duration::from_millis(advance)).map(Result::unwrap);
         let of = |message: BagMessage| {
             (message.connection.topic == "/odom", (10.0 * message.time.seconds_since(start) + 0.01).floor() as i64)
         };
@@ -105,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn odometry_comes_before_its_time_and_nothing_is_lost() {
+    fn odometry_is_returned_early_and_nothing_is_lost() {
         let as_recorded: Vec<_> = (0..30).flat_map(|i| [(true, i), (false, i)]).collect();
         assert_eq!(order(0, 0.0), as_recorded);
         let ahead = order(500, 0.0);
@@ -117,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_clock_is_set_everything_stays_in_its_order() {
+    fn messages_stay_in_order_when_the_clock_is_set() {
         let ahead = order(500, 3.0);
         let jump = ahead.iter().position(|&message| message == (true, 15)).unwrap();
         let before: Vec<i64> = ahead[..jump].iter().filter(|(is_odometry, _)| !is_odometry).map(|&(_, time)| time).collect();

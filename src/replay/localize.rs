@@ -9,12 +9,12 @@ use serde_json::{Value, json};
 
 use super::failures::Failures;
 use super::row::BeliefRow;
-use super::{ReplayLog, Topics, feed, microseconds, sensed};
+use super::{ReplayLog, Topics, decode_scan, feed, microseconds};
 use crate::anytime::clock::Clock;
-use crate::anytime::interrupt::Never;
-use crate::app::Answering as _;
+use crate::anytime::interrupt::NeverInterrupt;
+use crate::app::ScanProcessor as _;
 use crate::app::localizer::{Fix, Localizer};
-use crate::app::sensed::Sensed;
+use crate::app::sensed::SensorMessage;
 use crate::evaluation::association::MatchedPose;
 use crate::evaluation::consistency::Consistency;
 use crate::evaluation::statistics::PoseErrors;
@@ -25,95 +25,96 @@ use crate::localization::estimate::Belief;
 use crate::quantile;
 use crate::time::Stamp;
 
-/// The outcome for a scan.
+/// What became of a scan.
 #[derive(Clone, Debug)]
-pub enum Answer {
-    /// The filter took it in, or could not use it.
+pub enum ScanOutcome {
+    /// The filter processed or rejected it.
     Fix(Box<Fix>),
-    /// A newer one was there when the timer called. Where the robot was then: the last belief, carried on by odometry.
-    Between {
-        /// The scan's stamp.
+    /// It was skipped, because a newer scan had arrived when the timer fired.
+    Skipped {
+        /// Stamp of the scan.
         stamp: Stamp,
-        /// The pose of the base.
+        /// Pose of the base at that time: the last estimate, extrapolated by odometry.
         map_from_base: Pose2,
     },
 }
 
-/// Localizes a robot by a bag. `on_answer` gets the answer to each scan; `on_message` is called for every message read. An error of
-/// `on_answer` ends the replay. A timer goes by the time of the bag, and each of its calls finds the latest scan.
+/// Replays a bag through the particle filter. Calls `on_outcome` for each scan, and `on_message` for every message read. An error
+/// of `on_outcome` ends the replay. If the filter runs on a timer, the timer follows the recording times of the bag, and each
+/// call processes the latest scan.
 pub fn localize<E: From<BagError>>(
     bag: &Bag,
     topics: &Topics,
     localizer: &mut Localizer,
     clock: &dyn Clock,
     on_message: impl FnMut(),
-    mut on_answer: impl FnMut(&Answer, &Sensed) -> Result<(), E>,
+    mut on_outcome: impl FnMut(&ScanOutcome, &SensorMessage) -> Result<(), E>,
 ) -> Result<ReplayLog, E> {
     let mut timer = localizer.config().localization.timer(Duration::ZERO);
-    let mut held: Option<Sensed> = None;
+    let mut held: Option<SensorMessage> = None;
     let mut start = None;
     let log = feed(bag, topics, localizer, on_message, |message, localizer, log| {
         let arrival = clock.now();
-        let scan = match sensed(message) {
+        let scan = match decode_scan(message) {
             Ok(scan) => scan,
             Err(error) => {
-                log.note(None, &error.to_string());
+                log.add_unusable(None, &error.to_string());
                 return Ok(());
             }
         };
         let since_start = message.time.seconds_since(*start.get_or_insert(message.time));
         let now = Duration::try_from_secs_f64(since_start).unwrap_or_default();
-        let Some(timer) = &mut timer else { return answer(localizer, &scan, arrival, &mut on_answer) };
+        let Some(timer) = &mut timer else { return answer(localizer, &scan, arrival, &mut on_outcome) };
         let is_due = timer.is_due(now);
         let Some(earlier) = held.replace(scan) else { return Ok(()) };
-        if is_due { answer(localizer, &earlier, arrival, &mut on_answer) } else { pass_over(localizer, &earlier, &mut on_answer) }
+        if is_due { answer(localizer, &earlier, arrival, &mut on_outcome) } else { skip(localizer, &earlier, &mut on_outcome) }
     })?;
     if let Some(last) = held {
-        pass_over(localizer, &last, &mut on_answer)?;
+        skip(localizer, &last, &mut on_outcome)?;
     }
     Ok(log)
 }
 
 fn answer<E>(
     localizer: &mut Localizer,
-    scan: &Sensed,
+    scan: &SensorMessage,
     arrival: Duration,
-    on_answer: &mut impl FnMut(&Answer, &Sensed) -> Result<(), E>,
+    on_outcome: &mut impl FnMut(&ScanOutcome, &SensorMessage) -> Result<(), E>,
 ) -> Result<(), E> {
-    let fix = localizer.answer(scan, arrival, |_, _| ()).maintain(&Never);
-    on_answer(&Answer::Fix(Box::new(fix)), scan)
+    let fix = localizer.answer(scan, arrival, |_, _| ()).maintain(&NeverInterrupt);
+    on_outcome(&ScanOutcome::Fix(Box::new(fix)), scan)
 }
 
-fn pass_over<E>(
+fn skip<E>(
     localizer: &Localizer,
-    scan: &Sensed,
-    on_answer: &mut impl FnMut(&Answer, &Sensed) -> Result<(), E>,
+    scan: &SensorMessage,
+    on_outcome: &mut impl FnMut(&ScanOutcome, &SensorMessage) -> Result<(), E>,
 ) -> Result<(), E> {
     let stamp = scan.stamp();
-    let Some(map_from_base) = localizer.carried_to(stamp) else { return Ok(()) };
-    on_answer(&Answer::Between { stamp, map_from_base }, scan)
+    let Some(map_from_base) = localizer.extrapolated_to(stamp) else { return Ok(()) };
+    on_outcome(&ScanOutcome::Skipped { stamp, map_from_base }, scan)
 }
 
-/// How far off the poses were, and whether their covariances said so.
+/// Errors of the poses, and whether their covariances are consistent with these.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TruthErrors {
-    /// The errors.
+    /// Errors of the poses.
     pub poses: PoseErrors,
-    /// `None` where no covariance can be inverted.
+    /// Consistency of the covariances; `None` if none of them can be inverted.
     pub consistency: Option<Consistency>,
 }
 
-/// Collects the answers of a replay.
+/// Collects the outcomes of a replay.
 #[derive(Clone, Debug, Default)]
 pub struct LocalizationSummary {
     poses: Vec<StampedPose>,
-    /// Those of scans after which the robot knew where it was.
+    /// Poses at which the robot was localized.
     localized: Vec<StampedPose>,
-    /// How sure it was then.
+    /// Covariances of these, by stamp.
     covariances: BTreeMap<Stamp, PoseCovariance>,
     elapsed: Vec<Duration>,
-    between: usize,
-    /// Sum of the parts of their beams that the map explained.
+    skipped: usize,
+    /// Sum over all scans of the fraction of beams that the map explains.
     explained: f64,
     particles: u64,
     effective: f64,
@@ -124,12 +125,12 @@ pub struct LocalizationSummary {
 }
 
 impl LocalizationSummary {
-    /// Counts a scan that was passed over.
-    pub fn pass_over(&mut self) {
-        self.between += 1;
+    /// Counts a skipped scan.
+    pub fn add_skipped(&mut self) {
+        self.skipped += 1;
     }
 
-    /// Adds an answer; returns its pose, if it has one.
+    /// Adds the estimate for a scan. Returns its pose, if it has one.
     pub fn add(&mut self, BeliefRow { pose, covariance, report }: &BeliefRow) -> Option<StampedPose> {
         let Some(pose) = *pose else {
             self.unused.add(&report.failure, &report.reason);
@@ -151,74 +152,79 @@ impl LocalizationSummary {
         Some(pose)
     }
 
-    /// The trajectory of the base on the map.
+    /// The trajectory of the base in the map frame.
     pub fn poses(&self) -> &[StampedPose] {
         &self.poses
     }
 
-    /// The part of it on which the robot knew where it was.
+    /// The poses of the trajectory at which the robot was localized.
     pub fn localized(&self) -> &[StampedPose] {
         &self.localized
     }
 
-    /// Part of the beams that the map explained where the robot was believed to be, on average.
+    /// Mean fraction of the beams that the map explains at the estimated pose.
     pub fn explained(&self) -> f64 {
         self.explained / self.poses.len().max(1) as f64
     }
 
-    /// Why the robot cannot be said to have been localized, if so: it never was, or it was lost for most of the time since.
+    /// Explains why localization failed, if it did: the robot never was localized, or was lost for most of the time since it
+    /// first was.
     pub fn failure(&self) -> Option<String> {
         let since = self.localized.first().map(|first| self.poses.iter().filter(|pose| pose.stamp >= first.stamp).count());
         if since.is_some_and(|since| 2 * self.localized.len() >= since) {
             return None;
         }
-        let (percent, least) = (100.0 * self.explained(), 100.0 * Belief::LEAST_EXPLAINED);
-        Some(if self.explained() < Belief::LEAST_EXPLAINED {
+        let (percent, min_percent) = (100.0 * self.explained(), 100.0 * Belief::MIN_EXPLAINED);
+        Some(if self.explained() < Belief::MIN_EXPLAINED {
             format!(
-                "the robot was not localized: the map explains {percent:.0} % of the beams where it fits best, and the map of the place would \
-                 more than {least:.0} %. Is it the right map, and right in scale? If so, give --initial-pose, or a longer drive"
+                "the robot was not localized: at the estimated poses, the map explains {percent:.0} % of the beams, but the \
+                 right map would explain more than {min_percent:.0} %. Check the map and its scale. If they are right, give \
+                 --initial-pose or a longer drive"
             )
         } else {
-            "the robot was not localized: several places of the map look like what it saw. Give --initial-pose, or a longer drive"
-                .into()
+            "the robot was not localized: the scans fit several poses on the map. Give --initial-pose or a longer drive".into()
         })
     }
 
-    /// What the user should know of the time after the robot had first been localized: that it was lost again, and whether it still is.
+    /// A warning if the robot was lost after it had first been localized, with whether it still was at the end.
     pub fn lost(&self) -> Option<String> {
         let first = self.localized.first()?;
         let since = self.poses.iter().filter(|pose| pose.stamp >= first.stamp);
         let lost: Vec<Stamp> = since.map(|pose| pose.stamp).filter(|stamp| !self.covariances.contains_key(stamp)).collect();
         let from_start = lost.first()?.seconds_since(self.poses.first()?.stamp);
-        let at_the_end = if lost.last() == self.poses.last().map(|pose| &pose.stamp) { ", and is so at the end" } else { "" };
+        let at_the_end =
+            if lost.last() == self.poses.last().map(|pose| &pose.stamp) { ", and the last scan is one of them" } else { "" };
         Some(format!(
-            "the robot was not localized any more at {} scans, the first {from_start:.1} s after the start{at_the_end}",
+            "the robot was localized, but then lost at {} scans; the first is {from_start:.1} s after the start{at_the_end}",
             lost.len()
         ))
     }
 
-    /// Why scans were not used, and how many; empty if all were.
+    /// Reasons why scans were not used, with their numbers; empty if all were used.
     pub fn unused(&self) -> Vec<String> {
-        self.unused.in_words(self.poses.len() + self.unused.count())
+        self.unused.descriptions(self.poses.len() + self.unused.count())
     }
 
-    /// Particles, how many of them are effective, and beams.
+    /// Mean number of particles, effective number of particles, and mean number of beams.
     fn means(&self) -> (f64, f64, f64) {
         let scans = self.poses.len().max(1) as f64;
         (self.particles as f64 / scans, self.effective / scans, self.beams as f64 / scans)
     }
 
+    /// Elapsed time at percentiles 50, 99 and 100, microseconds.
     fn times(&self) -> [f64; 3] {
         let mut sorted = self.elapsed.clone();
         sorted.sort_unstable();
-        [0.5, 0.99, 1.0].map(|share| quantile::of_sorted(&sorted, share).map_or(0.0, microseconds))
+        [0.5, 0.99, 1.0].map(|fraction| quantile::of_sorted(&sorted, fraction).map_or(0.0, microseconds))
     }
 
-    fn seconds_to_find(&self) -> Option<f64> {
-        self.localized.first().zip(self.poses.first()).map(|(found, first)| found.stamp.seconds_since(first.stamp))
+    /// Time from the first scan until the robot was first localized, s.
+    fn seconds_to_localize(&self) -> Option<f64> {
+        self.localized.first().zip(self.poses.first()).map(|(localized, first)| localized.stamp.seconds_since(first.stamp))
     }
 
-    /// The errors against the truth, in the map, while the robot was localized: nothing is aligned. `None` when there are none.
+    /// Errors of the localized poses against the truth, in the map frame and without alignment. `None` if there are no such
+    /// poses.
     pub fn errors(&self, matched: &[MatchedPose]) -> Option<TruthErrors> {
         let errors: Vec<_> = matched.iter().map(|matched| matched.truth.between(&matched.estimate)).collect();
         let covariance = |matched: &MatchedPose| self.covariances.get(&matched.stamp);
@@ -226,16 +232,16 @@ impl LocalizationSummary {
         Some(TruthErrors { poses: PoseErrors::of(&errors)?, consistency: Consistency::of(estimates) })
     }
 
-    /// One JSON object.
+    /// Formats the summary as a JSON object.
     pub fn to_json(&self, errors: Option<&TruthErrors>, problems: &[String]) -> Value {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         let consistency = errors.and_then(|errors| errors.consistency);
         json!({
             "scans": self.poses.len(),
-            "passed_over": self.between,
+            "passed_over": self.skipped,
             "outcome": if self.failure().is_none() { "localized" } else { "not_localized" },
             "localized": self.localized.len(),
-            "localized_after_s": self.seconds_to_find(),
+            "localized_after_s": self.seconds_to_localize(),
             "mean_explained": self.explained(),
             "mean_particles": particles,
             "mean_effective_particles": effective,
@@ -254,21 +260,21 @@ impl LocalizationSummary {
         })
     }
 
-    /// A table for people.
+    /// Formats the summary as a table.
     pub fn to_text(&self, errors: Option<&TruthErrors>, problems: &[String]) -> String {
         let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
         table.add_row(["scans", &self.poses.len().to_string()]);
-        if self.between > 0 {
-            table.add_row(["passed over", &format!("{}: the timer found newer ones", self.between)]);
+        if self.skipped > 0 {
+            table.add_row(["skipped", &format!("{}: a newer scan had arrived when the timer fired", self.skipped)]);
         }
         for unused in self.unused() {
             table.add_row(["unused", &unused]);
         }
-        let found = self.seconds_to_find().map_or("never".into(), |seconds| format!("after {seconds:.2} s"));
-        table.add_row(["localized", &format!("{} scans, first {found}", self.localized.len())]);
-        table.add_row(["explained", &format!("{:.0} % of the beams by the map", 100.0 * self.explained())]);
+        let first = self.seconds_to_localize().map_or(String::new(), |seconds| format!(", the first after {seconds:.2} s"));
+        table.add_row(["localized", &format!("{} scans{first}", self.localized.len())]);
+        table.add_row(["map explains", &format!("{:.0} % of the beams", 100.0 * self.explained())]);
         table.add_row(["particles", &format!("{particles:.0}, {effective:.0} of them effective; {beams:.0} beams")]);
         table.add_row(["time", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
         if self.late > 0 {
@@ -285,7 +291,7 @@ impl LocalizationSummary {
                 let percent = 100.0 * positions_within;
                 table.add_row([
                     "consistency",
-                    &format!("NEES {nees:.1} (right: 3); {percent:.1} % of the positions within three sigma"),
+                    &format!("NEES {nees:.1} (ideal: 3); {percent:.1} % of the positions within 3 sigma"),
                 ]);
             }
         }

@@ -1,73 +1,80 @@
-//! A map as a picture: what stands where, the path coloured by time, its ends, and where it has met itself.
+//! Renders a map with the path coloured by time, the ends of the path, and the loop closures.
 
 use std::io::{self, BufWriter, Write};
 
 use crate::geometry::Point;
 use crate::map::grid::{Cell, OccupancyGrid};
 
-/// Colours of the path, from its start to its end.
-const SHADES: usize = 64;
-/// Side of the squares at the ends of the path, pixels to either side.
-const MARK: i64 = 4;
-/// Numbers of the colours.
-const OCCUPIED: u8 = 0;
-const FREE: u8 = 1;
-const UNKNOWN: u8 = 2;
-const LOOP: u8 = 3;
-const START: u8 = 4;
-const END: u8 = 5;
-const FIRST_SHADE: u8 = 6;
+/// Number of colours of the path, from its start to its end.
+const PATH_COLOURS: usize = 64;
+/// Half the side of the squares at the ends of the path, pixels.
+const MARK_RADIUS: i64 = 4;
 
-/// What is drawn.
+/// Palette index of occupied cells.
+const OCCUPIED: u8 = 0;
+/// Palette index of free cells.
+const FREE: u8 = 1;
+/// Palette index of unknown cells.
+const UNKNOWN: u8 = 2;
+/// Palette index of loop closures.
+const LOOP: u8 = 3;
+/// Palette index of the start of the path.
+const START: u8 = 4;
+/// Palette index of the end of the path.
+const END: u8 = 5;
+/// Palette index of the first colour of the path.
+const FIRST_PATH_COLOUR: u8 = 6;
+
+/// A map, with a path to render on it.
 pub struct Picture<'a> {
     /// The map.
     pub map: &'a OccupancyGrid,
-    /// Places along the path, m.
+    /// Positions along the path, m.
     pub path: &'a [Point],
-    /// Pairs of places that were recognised as near each other, m.
+    /// Loop closures: pairs of positions, m.
     pub loops: &'a [(Point, Point)],
 }
 
 impl Picture<'_> {
-    /// Writes a PNG file, a pixel for each cell.
+    /// Writes a PNG file with one pixel for each cell.
     pub fn write_png(&self, writer: impl Write) -> io::Result<()> {
         let mut canvas = Canvas::of(self.map);
         for (from, to) in self.loops {
             canvas.line(from, to, LOOP);
         }
         for (i, pair) in self.path.windows(2).enumerate() {
-            canvas.line(&pair[0], &pair[1], shade(i, self.path.len()));
+            canvas.line(&pair[0], &pair[1], path_colour(i, self.path.len()));
         }
-        for (place, colour) in [(self.path.first(), START), (self.path.last(), END)] {
-            if let Some(place) = place {
-                canvas.mark(place, colour);
+        for (position, colour) in [(self.path.first(), START), (self.path.last(), END)] {
+            if let Some(position) = position {
+                canvas.mark(position, colour);
             }
         }
         canvas.write_png(writer)
     }
 }
 
-/// Number of the colour of a place along a path of `count`.
+/// Palette index of position `i` of a path of `count` positions.
 #[allow(clippy::cast_possible_truncation)] // fewer than 256
-fn shade(i: usize, count: usize) -> u8 {
-    FIRST_SHADE + (i * SHADES / count.max(1)).min(SHADES - 1) as u8
+fn path_colour(i: usize, count: usize) -> u8 {
+    FIRST_PATH_COLOUR + (i * PATH_COLOURS / count.max(1)).min(PATH_COLOURS - 1) as u8
 }
 
-/// Red, green and blue of all colours: the path's go from blue over green to red.
+/// Red, green and blue of all colours. Those of the path go from blue over green to red.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // within 0 to 255
 fn palette() -> Vec<u8> {
     let mut colours = vec![[0, 0, 0], [254, 254, 254], [205, 205, 205], [190, 120, 220], [0, 140, 0], [200, 0, 0]];
-    colours.extend((0..SHADES).map(|i| {
-        let part = i as f64 / (SHADES - 1) as f64;
-        let rise = |from: f64| (255.0 * (1.5 - (4.0 * (part - from)).abs()).clamp(0.0, 1.0)) as u8;
-        [rise(0.75), rise(0.5), rise(0.25)]
+    colours.extend((0..PATH_COLOURS).map(|i| {
+        let fraction = i as f64 / (PATH_COLOURS - 1) as f64;
+        let channel = |centre: f64| (255.0 * (1.5 - (4.0 * (fraction - centre)).abs()).clamp(0.0, 1.0)) as u8;
+        [channel(0.75), channel(0.5), channel(0.25)]
     }));
     colours.concat()
 }
 
 struct Canvas<'a> {
     map: &'a OccupancyGrid,
-    /// From the bottom up, as the map's cells.
+    /// Palette indices, in the order of the map's cells: row by row from the bottom.
     pixels: Vec<u8>,
 }
 
@@ -94,18 +101,18 @@ impl<'a> Canvas<'a> {
     fn line(&mut self, from: &Point, to: &Point, colour: u8) {
         let (from, to) = (self.map.coordinates(*from), self.map.coordinates(*to));
         let span = to - from;
-        // What is longer than the map is wide leads nowhere.
+        // Limits the work for a line that leads far out of the map.
         let steps = span.amax().min((self.map.width() + self.map.height()) as f64).ceil().max(1.0);
         for i in 0..=steps as i64 {
-            let place = from + span * (i as f64 / steps);
-            self.set(place.x.floor() as i64, place.y.floor() as i64, colour);
+            let cell = from + span * (i as f64 / steps);
+            self.set(cell.x.floor() as i64, cell.y.floor() as i64, colour);
         }
     }
 
     #[allow(clippy::cast_possible_truncation)] // saturates
-    fn mark(&mut self, place: &Point, colour: u8) {
-        let centre = self.map.coordinates(*place);
-        for (x, y) in (-MARK..=MARK).flat_map(|x| (-MARK..=MARK).map(move |y| (x, y))) {
+    fn mark(&mut self, position: &Point, colour: u8) {
+        let centre = self.map.coordinates(*position);
+        for (x, y) in (-MARK_RADIUS..=MARK_RADIUS).flat_map(|x| (-MARK_RADIUS..=MARK_RADIUS).map(move |y| (x, y))) {
             self.set((centre.x.floor() as i64).saturating_add(x), (centre.y.floor() as i64).saturating_add(y), colour);
         }
     }

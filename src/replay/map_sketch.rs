@@ -1,31 +1,32 @@
-//! Scan points along the path, as the background of a plot.
+//! Collects scan points along the path, for the background of a plot.
 
-use crate::app::sensed::Sensed;
+use crate::app::sensed::SensorMessage;
 use crate::app::{App, Estimate};
 use crate::geometry::Point;
 
-/// More points than this make a plot heavy, not better.
+/// Maximum number of points: more make a plot larger, but not better.
 const MAX_POINTS: usize = 20_000;
-/// Points of one scan.
+/// Maximum number of points of one scan.
 const POINTS_PER_SCAN: usize = 60;
 
-/// Collects points of keyframes; thins out as it fills up.
+/// Collects points of keyframes. When there are too many, drops every second point, and from then on uses half as many keyframes.
 #[derive(Debug, Default)]
 pub struct MapSketch {
     points: Vec<Point>,
     keyframes: usize,
-    every: usize,
+    /// Every how many keyframes one is used; 0 at the start means 1.
+    keyframe_stride: usize,
 }
 
 impl MapSketch {
-    /// Takes a scan that has been answered.
-    pub fn add(&mut self, message: &Sensed, estimate: &Estimate, app: &mut App) {
+    /// Adds a processed scan.
+    pub fn add(&mut self, message: &SensorMessage, estimate: &Estimate, app: &mut App) {
         if !estimate.registration.new_keyframe || !estimate.registration.outcome.is_ok() {
             return;
         }
         self.keyframes += 1;
         let Some(scan) = app.scan(message) else { return };
-        if !self.keyframes.is_multiple_of(self.every.max(1)) {
+        if !self.keyframes.is_multiple_of(self.keyframe_stride.max(1)) {
             return;
         }
         let transform = (estimate.registration.map_from_base() * app.mount().0.base_from_laser).transform();
@@ -37,7 +38,7 @@ impl MapSketch {
                 keep = !keep;
                 keep
             });
-            self.every = 2 * self.every.max(1);
+            self.keyframe_stride = 2 * self.keyframe_stride.max(1);
         }
     }
 

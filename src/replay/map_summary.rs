@@ -1,4 +1,4 @@
-//! What came of making a map, for people and for machines.
+//! Summary of a mapping run, as text and as JSON.
 
 use std::fmt::Write as _;
 use std::time::Duration;
@@ -12,43 +12,43 @@ use crate::map::grid::{Cell, OccupancyGrid};
 use crate::mapping::{Mapper, Progress};
 use crate::scan::Sectors;
 
-/// Time that the stages have taken.
+/// Computation time of the stages of mapping.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Stages {
     /// Reading the bags and matching their scans.
     pub replay: Duration,
-    /// Keyframes and the edges between them, while the bags are read.
+    /// Creating keyframes and the edges between consecutive ones, while the bags are read.
     pub keyframes: Duration,
-    /// Loops, and the poses that fit them.
+    /// Closing loops, and optimizing the pose graph.
     pub graph: Duration,
-    /// Drawing.
+    /// Rendering the occupancy grid.
     pub grid: Duration,
 }
 
-/// What is told of a map.
+/// Summary of a mapping run.
 pub struct MapSummary {
-    /// Scans.
+    /// Number of scans.
     pub scans: usize,
-    /// Way along the final path, m.
+    /// Length of the final path, m.
     pub distance: f64,
-    /// Keyframes.
+    /// Number of keyframes.
     pub keyframes: usize,
-    /// Loops and residuals.
+    /// Loop edges and residuals.
     pub progress: Progress,
     /// Columns and rows of the map.
     pub size: (usize, usize),
-    /// Free space, m^2.
+    /// Free area, m^2.
     pub area: f64,
-    /// Where the laser sees the robot itself.
+    /// Sectors in which the laser sees the robot itself.
     pub self_hits: Sectors,
-    /// Time by stage.
+    /// Computation time by stage.
     pub stages: Stages,
-    /// What the user should know.
+    /// Warnings for the user.
     pub problems: Vec<String>,
 }
 
 impl MapSummary {
-    /// Of a map that is done.
+    /// Summarizes a completed map.
     pub fn new(
         mapper: &Mapper,
         path: &[StampedPose],
@@ -71,7 +71,7 @@ impl MapSummary {
         }
     }
 
-    /// One JSON object.
+    /// Formats the summary as a JSON object.
     pub fn to_json(&self) -> Value {
         let Stages { replay, keyframes, graph, grid } = self.stages;
         let Progress { loops, outvoted, residual_before, residual_after } = self.progress;
@@ -95,24 +95,26 @@ impl MapSummary {
         })
     }
 
-    /// A table for people.
+    /// Formats the summary as a table.
     pub fn to_text(&self) -> String {
         let Stages { replay, keyframes, graph, grid } = self.stages;
         let Progress { loops, outvoted, residual_before, residual_after } = self.progress;
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
         table.add_row(["scans", &self.scans.to_string()]);
-        table.add_row(["path", &format!("{:.2} m", self.distance)]);
+        table.add_row(["path length", &format!("{:.2} m", self.distance)]);
         table.add_row(["keyframes", &self.keyframes.to_string()]);
-        let contradicted = if outvoted > 0 { format!(", {outvoted} of them contradicted by the others") } else { String::new() };
-        table.add_row(["loop edges", &format!("{loops}{contradicted}")]);
+        let outliers =
+            if outvoted > 0 { format!(", {outvoted} of them outliers that contradict the others") } else { String::new() };
+        table.add_row(["loop edges", &format!("{loops}{outliers}")]);
         if loops > 0 {
-            table.add_row(["they miss", &format!("{residual_before:.3} m by odometry, {residual_after:.3} m on the map (RMS)")]);
+            let text = format!("RMS {residual_before:.3} m with odometry alone, {residual_after:.3} m after optimization");
+            table.add_row(["loop residual", &text]);
         }
         table.add_row(["map", &format!("{} x {} cells, {:.1} m^2 free", self.size.0, self.size.1, self.area)]);
         if !self.self_hits.0.is_empty() {
             let sectors = self.self_hits.to_value();
-            table.add_row(["the laser sees the robot", &format!("masked; for other runs: scan.masked_sectors={sectors}")]);
+            table.add_row(["self hits", &format!("masked; to mask them in other runs: scan.masked_sectors={sectors}")]);
         }
         let [replay, keyframes, graph, grid] = [replay, keyframes, graph, grid].map(|time| time.as_secs_f64());
         table.add_row([

@@ -1,4 +1,4 @@
-//! Records a replay: the summary in memory, and the files asked for.
+//! Records a replay: the summary in memory, and the requested files.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::map_sketch::MapSketch;
 use super::row::MatchRow;
 use super::summary::Summary;
-use crate::app::sensed::Sensed;
+use crate::app::sensed::SensorMessage;
 use crate::app::{App, Estimate};
 use crate::geometry::Point;
 use crate::io::bag::BagError;
@@ -27,7 +27,7 @@ pub enum RecordError {
     Write {
         /// The file.
         path: PathBuf,
-        /// The system's reason.
+        /// The error of the operating system.
         error: io::Error,
     },
 }
@@ -35,13 +35,13 @@ pub enum RecordError {
 /// The files to write.
 #[derive(Clone, Debug, Default)]
 pub struct OutputFiles {
-    /// The pose of every scan.
+    /// TUM file with the pose of every scan.
     pub tum: Option<PathBuf>,
-    /// A line of figures for every scan.
+    /// CSV file with a row for every scan.
     pub csv: Option<PathBuf>,
 }
 
-/// Takes every answer of a replay. What it has taken is in the files; older ones are replaced once it has [finished](Self::finish).
+/// Records every answer of a replay. Each is written at once; existing files are replaced by [`Self::finish`].
 pub struct Recorder {
     files: OutputFiles,
     tum: Option<TumWriter<OutputFile>>,
@@ -51,7 +51,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Opens the files; with `sketch`, points of the scans are collected for a plot.
+    /// Opens the files. With `sketch`, also collects points of the scans for a plot.
     pub fn create(files: OutputFiles, sketch: bool) -> Result<Self, RecordError> {
         let tum = files.tum.as_deref().map(create).transpose()?.map(TumWriter::new);
         let csv = match files.csv.as_deref() {
@@ -61,8 +61,8 @@ impl Recorder {
         Ok(Self { files, tum, csv, sketch: sketch.then(MapSketch::default), summary: Summary::default() })
     }
 
-    /// Takes the answer to a scan.
-    pub fn add(&mut self, scan: &Sensed, estimate: &Estimate, app: &mut App) -> Result<(), RecordError> {
+    /// Records the answer to a scan.
+    pub fn add(&mut self, scan: &SensorMessage, estimate: &Estimate, app: &mut App) -> Result<(), RecordError> {
         let row = MatchRow::new(estimate, app);
         let pose = self.summary.add(&row);
         if let (Some(tum), Some(path)) = (&mut self.tum, &self.files.tum) {
@@ -77,7 +77,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// The files are whole: puts them in their places.
+    /// Moves the complete files to their paths.
     pub fn finish(&mut self) -> Result<(), RecordError> {
         if let (Some(tum), Some(path)) = (self.tum.take(), &self.files.tum) {
             tum.into_sink().commit().map_err(|error| failed(path, error))?;
@@ -93,14 +93,14 @@ impl Recorder {
         &self.summary
     }
 
-    /// Points of the scans, m, in the odom frame.
+    /// Points of the scans in the map frame, m, if they are collected.
     pub fn points(&self) -> Option<&[Point]> {
         self.sketch.as_ref().map(MapSketch::points)
     }
 }
 
 fn create(path: &Path) -> Result<OutputFile, RecordError> {
-    OutputFile::record(path).map_err(|error| failed(path, error))
+    OutputFile::create_growing(path).map_err(|error| failed(path, error))
 }
 
 fn failed(path: &Path, error: io::Error) -> RecordError {

@@ -1,8 +1,8 @@
-//! What is kept of each answer: pose and report. CSV and summary are made from these.
+//! Pose and report of each answer, from which CSV rows and the summary are made.
 
 use crate::app::localizer::Fix;
 use crate::app::{App, Estimate};
-use crate::evaluation::consistency::Claim;
+use crate::evaluation::consistency::UncertainPose;
 use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::io::csv_file::{Column, microseconds};
@@ -14,28 +14,28 @@ use crate::time::Stamp;
 /// The answer of the scan matcher to a scan.
 #[derive(Clone, Debug)]
 pub struct MatchRow {
-    /// Where the base is on the map.
+    /// Pose of the base in the map frame.
     pub pose: Pose2,
-    /// How that is known.
+    /// Report of the match.
     pub report: MatchReport,
-    /// Where the base is in the odom frame, and how well that is known.
-    pub claim: Claim,
+    /// Pose of the base in the odom frame, with its covariance.
+    pub uncertain_pose: UncertainPose,
 }
 
 impl MatchRow {
-    /// Of an answer that `app` has just given.
+    /// The row of the answer that `app` has just given.
     pub fn new(estimate: &Estimate, app: &App) -> Self {
         let header = Header::new(0, estimate.stamp, &app.config().frames.odom_frame);
         let registration = &estimate.registration;
-        let claim = Claim {
+        let uncertain_pose = UncertainPose {
             pose: StampedPose { stamp: estimate.stamp, pose: registration.odom_from_base },
             covariance: registration.covariance,
             is_ok: registration.outcome.is_ok(),
         };
-        Self { pose: registration.map_from_base(), report: estimate.report(header, app.odometry_counters(), 0), claim }
+        Self { pose: registration.map_from_base(), report: estimate.report(header, app.odometry_counters(), 0), uncertain_pose }
     }
 
-    /// The columns of its CSV file; those of a match are empty where there was none.
+    /// The columns of the CSV file. Columns about the match are empty if there was none.
     pub const COLUMNS: &[Column<Self>] = &[
         ("stamp", |row| Stamp::from(row.report.header.stamp).to_string()),
         ("x_m", |row| format!("{:.9}", row.pose.x)),
@@ -88,16 +88,16 @@ impl MatchRow {
 /// The answer of the particle filter to a scan.
 #[derive(Clone, Debug)]
 pub struct BeliefRow {
-    /// Where the base is on the map; `None` where the scan could not be used.
+    /// Pose of the base in the map frame; `None` if the scan could not be used.
     pub pose: Option<Pose2>,
     /// Covariance of that pose.
     pub covariance: PoseCovariance,
-    /// How that is known.
+    /// Report of the filter.
     pub report: FilterReport,
 }
 
 impl BeliefRow {
-    /// Of an answer, in the frame of this name.
+    /// The row of an answer; `map_frame` is the name of the map frame.
     pub fn new(fix: &Fix, map_frame: &str) -> Self {
         let belief = fix.belief.as_ref().ok();
         Self {
@@ -107,15 +107,15 @@ impl BeliefRow {
         }
     }
 
-    /// The columns of its CSV file.
+    /// The columns of the CSV file.
     pub const COLUMNS: &[Column<Self>] = &[
         ("stamp", |row| Stamp::from(row.report.header.stamp).to_string()),
-        ("x_m", |row| row.place(|pose| pose.x)),
-        ("y_m", |row| row.place(|pose| pose.y)),
-        ("theta_rad", |row| row.place(|pose| pose.theta)),
-        ("sigma_x_m", |row| row.deviation(0)),
-        ("sigma_y_m", |row| row.deviation(1)),
-        ("sigma_theta_rad", |row| row.deviation(2)),
+        ("x_m", |row| row.coordinate(|pose| pose.x)),
+        ("y_m", |row| row.coordinate(|pose| pose.y)),
+        ("theta_rad", |row| row.coordinate(|pose| pose.theta)),
+        ("sigma_x_m", |row| row.sigma(0)),
+        ("sigma_y_m", |row| row.sigma(1)),
+        ("sigma_theta_rad", |row| row.sigma(2)),
         ("localized", |row| row.report.localized.to_string()),
         ("share", |row| format!("{:.4}", row.report.share)),
         ("particles", |row| row.report.particles.to_string()),
@@ -127,11 +127,11 @@ impl BeliefRow {
         ("elapsed_us", |row| microseconds(row.report.elapsed)),
     ];
 
-    fn deviation(&self, i: usize) -> String {
+    fn sigma(&self, i: usize) -> String {
         format!("{:.6}", self.covariance[(i, i)].max(0.0).sqrt())
     }
 
-    fn place(&self, coordinate: fn(&Pose2) -> f64) -> String {
+    fn coordinate(&self, coordinate: fn(&Pose2) -> f64) -> String {
         self.pose.as_ref().map_or_else(String::new, |pose| format!("{:.9}", coordinate(pose)))
     }
 }

@@ -10,7 +10,7 @@ use super::failures::Failures;
 use super::row::MatchRow;
 use super::{ReplayLog, microseconds};
 use crate::app::MountSource;
-use crate::evaluation::consistency::{Claim, Consistency};
+use crate::evaluation::consistency::{Consistency, UncertainPose};
 use crate::evaluation::report::Report;
 use crate::evaluation::trajectory::StampedPose;
 use crate::odometry::OdometryCounters;
@@ -20,57 +20,58 @@ use crate::quantile;
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
     poses: Vec<StampedPose>,
-    claims: Vec<Claim>,
+    uncertain_poses: Vec<UncertainPose>,
     elapsed: Vec<Duration>,
     iterations: u64,
     matched: usize,
     failures: Failures,
     /// Shortest and longest time budget.
     budgets: Option<(Duration, Duration)>,
-    /// Answers that had a bound on their error, and those that kept it.
+    /// Number of answers with an error bound, and number of those that kept it.
     bounded: (usize, usize),
-    /// Answers to scans of another kind than the profile's, and what was first.
+    /// Number of answers under conditions outside those of the profile, and how the first differs.
     outside_profile: Option<(usize, String)>,
+    /// Number of missed deadlines.
     misses: usize,
     worst_overrun: Duration,
 }
 
-/// The parts of a summary that are known only at the end.
+/// The parts of a summary that are known only at the end of the replay.
 #[derive(Clone, Debug)]
 pub struct Ending {
     /// Messages that could not be used.
     pub log: ReplayLog,
-    /// What the odometry counted.
+    /// Counters of the odometry.
     pub counters: OdometryCounters,
-    /// Scans lag so far behind the odometry, s.
+    /// Time by which the scans lag behind the odometry, s.
     pub odometry_lag: f64,
-    /// Where the laser's place is known from.
+    /// Where the mount of the laser is known from.
     pub mount_source: MountSource,
     /// Comparison with the truth.
     pub report: Option<Report>,
-    /// Whether the covariances of the poses in the odom frame hold.
+    /// Consistency of the covariances of the poses in the odom frame.
     pub consistency: Option<Consistency>,
-    /// Damage of the bag, in words.
+    /// Damage of the bag, one text each.
     pub bag_problems: Vec<String>,
 }
 
 impl Ending {
-    /// Problems worth knowing, each with its remedy where there is one.
+    /// Warnings for the user, with remedies where there are any.
     fn problems(&self) -> Vec<String> {
         let mut problems = self.bag_problems.clone();
         problems.extend(self.log.problems());
-        problems.extend(self.mount_source.reservation().map(Into::into));
+        problems.extend(self.mount_source.warning().map(Into::into));
         problems.extend(self.counters.in_words());
         problems
     }
 }
 
 impl Summary {
-    /// Adds an answer; returns its pose.
-    pub fn add(&mut self, MatchRow { pose, report, claim }: &MatchRow) -> StampedPose {
+    /// Adds an answer. Returns its pose.
+    pub fn add(&mut self, MatchRow { pose, report, uncertain_pose }: &MatchRow) -> StampedPose {
         let pose = StampedPose { stamp: report.header.stamp.into(), pose: *pose };
         self.poses.push(pose);
-        self.claims.push(*claim);
+        self.uncertain_poses.push(*uncertain_pose);
         self.elapsed.push(report.elapsed.span());
         self.iterations += u64::from(report.iterations);
         self.matched += usize::from(report.ok);
@@ -94,31 +95,31 @@ impl Summary {
         pose
     }
 
-    /// The trajectory of the base.
+    /// The trajectory of the base in the map frame.
     pub fn poses(&self) -> &[StampedPose] {
         &self.poses
     }
 
-    /// The poses of the base in the odom frame, and what is said of their errors.
-    pub fn claims(&self) -> &[Claim] {
-        &self.claims
+    /// The poses of the base in the odom frame, with their covariances.
+    pub fn uncertain_poses(&self) -> &[UncertainPose] {
+        &self.uncertain_poses
     }
 
-    /// Why the answers are worth nothing, if they are: every scan was malformed, or of a laser on edge.
-    pub fn hollow(&self) -> Option<String> {
+    /// Explains why the replay failed, if it did: every scan was malformed, or the laser is not mounted level.
+    pub fn failure(&self) -> Option<String> {
         let (unusable, scans) = (self.failures.unusable(), self.poses.len());
-        (scans > 0 && unusable.count() == scans).then(|| unusable.in_words(scans).join("; "))
+        (scans > 0 && unusable.count() == scans).then(|| unusable.descriptions(scans).join("; "))
     }
 
-    /// Problems worth knowing, each with its remedy where there is one.
+    /// All warnings for the user, with remedies where there are any.
     fn problems(&self, ending: &Ending) -> Vec<String> {
-        let failures = self.failures.in_words(self.poses.len());
-        let elsewhere = self.outside_profile.as_ref().map(|(count, first)| {
+        let failures = self.failures.descriptions(self.poses.len());
+        let outside_profile = self.outside_profile.as_ref().map(|(count, first)| {
             format!(
-                "{count} scans are of another kind than those of contract.profile, whose errors are not to be relied on: {first}"
+                "{count} scans differ from those of contract.profile, so its expected errors do not apply; the first: {first}"
             )
         });
-        failures.into_iter().chain(elsewhere).chain(ending.problems()).collect()
+        failures.into_iter().chain(outside_profile).chain(ending.problems()).collect()
     }
 
     fn path_length(&self) -> f64 {
@@ -129,14 +130,14 @@ impl Summary {
     fn times(&self) -> [f64; 3] {
         let mut sorted = self.elapsed.clone();
         sorted.sort_unstable();
-        [0.5, 0.99, 1.0].map(|share| quantile::of_sorted(&sorted, share).map_or(0.0, microseconds))
+        [0.5, 0.99, 1.0].map(|fraction| quantile::of_sorted(&sorted, fraction).map_or(0.0, microseconds))
     }
 
     fn mean_iterations(&self) -> f64 {
         self.iterations as f64 / self.poses.len().max(1) as f64
     }
 
-    /// One JSON object.
+    /// Formats the summary as a JSON object.
     pub fn to_json(&self, ending: &Ending) -> Value {
         let [p50, p99, max] = self.times();
         let truth = ending.report.as_ref().map_or_else(|| json!({}), Report::to_json);
@@ -169,7 +170,7 @@ impl Summary {
         })
     }
 
-    /// A table for people, on a terminal of so many columns; `None`: as wide as it gets.
+    /// Formats the summary as text for a terminal of `width` columns; `None` for unlimited width.
     pub fn to_text(&self, ending: &Ending, width: Option<usize>) -> String {
         let [p50, p99, max] = self.times();
         let mut table = Table::new();
@@ -186,22 +187,22 @@ impl Summary {
         if ending.odometry_lag != 0.0 {
             table.add_row([
                 "odometry lag",
-                &format!("scans show the robot where odometry had it {:.2} s before", ending.odometry_lag),
+                &format!("the scans match the poses that odometry reports {:.2} s earlier", ending.odometry_lag),
             ]);
         }
         table.add_row(["mean iterations", &format!("{:.1}", self.mean_iterations())]);
         table.add_row(["time", &format!("p50 {p50:.0} us, p99 {p99:.0} us, max {max:.0} us")]);
         if let Some((shortest, longest)) = self.budgets {
             let overrun = microseconds(self.worst_overrun);
-            let share = 100.0 * self.misses as f64 / self.poses.len().max(1) as f64;
+            let percent = 100.0 * self.misses as f64 / self.poses.len().max(1) as f64;
             let (misses, longest) = (self.misses, microseconds(longest));
             let from =
                 if microseconds(shortest) < longest { format!("{:.0} to ", microseconds(shortest)) } else { String::new() };
-            let text = format!("{misses} ({share:.2} %) of budget {from}{longest:.0} us, worst overrun {overrun:.0} us");
+            let text = format!("{misses} ({percent:.2} %) with time budget {from}{longest:.0} us, worst overrun {overrun:.0} us");
             table.add_row(["deadline misses", &text]);
         }
         if self.bounded.0 > 0 {
-            table.add_row(["error bound kept", &format!("{} of {}", self.bounded.1, self.bounded.0)]);
+            table.add_row(["error bound kept", &format!("{} of {} scans", self.bounded.1, self.bounded.0)]);
         }
         let mut text = format!("{table}\n");
         if let Some(report) = &ending.report {

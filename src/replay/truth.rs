@@ -1,4 +1,4 @@
-//! The truth to compare with: a file beside the bag, or a topic in it.
+//! Loads the true poses to compare with: from a file, or from a topic of the bag.
 
 use std::path::Path;
 
@@ -12,16 +12,16 @@ use crate::io::tum;
 use crate::messages::geometry_msgs::PoseStamped;
 use crate::messages::nav_msgs::Odometry;
 
-/// Why there is no truth.
+/// Why the true poses cannot be loaded.
 #[derive(Debug, Error)]
 pub enum TruthError {
     /// The file cannot be read.
     #[error(transparent)]
     File(#[from] TextFileError),
-    /// The bag cannot be read, or the topic is of another type.
+    /// The bag cannot be read, or the topic has another type.
     #[error(transparent)]
     Bag(#[from] BagError),
-    /// A message holds no pose.
+    /// A message has no valid pose.
     #[error("{topic}: {source}")]
     Pose {
         /// The topic.
@@ -29,7 +29,7 @@ pub enum TruthError {
         /// What is wrong.
         source: InputError,
     },
-    /// The poses are no trajectory.
+    /// The poses are not a valid trajectory.
     #[error("{topic}: {source}")]
     Trajectory {
         /// The topic.
@@ -39,8 +39,8 @@ pub enum TruthError {
     },
 }
 
-/// Reads the truth from `name`: a topic of the bag (`geometry_msgs/PoseStamped` or `nav_msgs/Odometry`) if it has one of that name,
-/// else a file.
+/// Loads the true poses from `name`: a topic of the bag (`geometry_msgs/PoseStamped` or `nav_msgs/Odometry`) if it has one of
+/// that name, otherwise a file.
 pub fn load(name: &str, bag: &Bag) -> Result<Trajectory, TruthError> {
     let is_topic = bag.connections().iter().any(|connection| connection.topic == name);
     if is_topic { from_topic(name, bag) } else { Ok(tum::read(Path::new(name))?) }

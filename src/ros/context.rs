@@ -1,4 +1,4 @@
-//! What the thread of a node works with.
+//! The context that a node's worker thread runs in.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,16 +7,16 @@ use super::diagnostics::{MOUNT_ASSUMED, Monitor};
 use super::interrupts::Interrupts;
 use super::log::Log;
 use super::mailbox::Mailbox;
-use super::priority::Urgency;
+use super::priority::RealTimePriority;
 use super::reader::Reader;
 use crate::anytime::clock::Clock;
 use crate::app::MountSource;
 use crate::transforms::Mount;
 
-/// Transforms may come a little later than the first scans do.
+/// Time to wait for the laser's transform before warning: `/tf_static` may arrive after the first scans.
 const MOUNT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// What the thread of a node shares with its others.
+/// Handles that the worker thread shares with the other threads of the node.
 #[derive(Clone)]
 pub(super) struct Shared {
     pub(super) mailbox: Arc<Mailbox>,
@@ -26,56 +26,56 @@ pub(super) struct Shared {
     pub(super) log: Log,
 }
 
-/// What an algorithm works with.
+/// Everything an algorithm may use besides its own state.
 pub(super) struct Context {
     pub(super) shared: Shared,
     pub(super) reader: Reader,
-    /// Of this thread.
-    pub(super) urgency: Urgency,
-    mount_told: Option<MountSource>,
+    /// Real-time priority of the worker thread.
+    pub(super) real_time: RealTimePriority,
+    logged_mount: Option<MountSource>,
     first_answer: Option<Duration>,
 }
 
 impl Context {
-    /// Of the thread that calls.
+    /// Creates the context of the calling thread.
     pub(super) fn new(shared: Shared) -> Self {
         let reader = Reader::new(&shared.clock, &shared.log, &shared.monitor);
-        Self { shared, reader, urgency: Urgency::of_this_thread(), mount_told: None, first_answer: None }
+        Self { shared, reader, real_time: RealTimePriority::of_this_thread(), logged_mount: None, first_answer: None }
     }
 
-    /// Says so if answers cannot go before other programs.
-    pub(super) fn tell_priority(&self) {
-        if !self.urgency.is_permitted() {
-            self.shared
-                .log
-                .info("real-time priority is not permitted (CAP_SYS_NICE, or ulimit -r): busy programs can make answers late");
+    /// Logs if real-time priority is not permitted.
+    pub(super) fn log_priority(&self) {
+        if !self.real_time.is_permitted() {
+            self.shared.log.info(
+                "no permission for real-time priority: busy programs may delay answers (grant CAP_SYS_NICE or raise ulimit -r)",
+            );
         }
     }
 
-    /// Says once where the laser's place is known from, or that it is not.
-    pub(super) fn watch_mount(&mut self, (mount, source): (Mount, MountSource)) {
+    /// Logs once where the mount of the laser on the base is known from, and warns if it is unknown.
+    pub(super) fn log_mount(&mut self, (mount, source): (Mount, MountSource)) {
         let now = self.shared.clock.now();
         let waited = now.saturating_sub(*self.first_answer.get_or_insert(now));
-        if self.mount_told == Some(source) || (source == MountSource::Assumed && waited < MOUNT_TIMEOUT) {
+        if self.logged_mount == Some(source) || (source == MountSource::Assumed && waited < MOUNT_TIMEOUT) {
             return;
         }
-        self.mount_told = Some(source);
+        self.logged_mount = Some(source);
         self.shared.monitor.set_condition(MOUNT_ASSUMED, source == MountSource::Assumed);
-        let place = mount.base_from_laser;
-        let head = if mount.upside_down { ", upside down" } else { "" };
-        let text = format!("[{:.3} m, {:.3} m, {:.3} rad]{head}", place.x, place.y, place.theta);
+        let pose = mount.base_from_laser;
+        let roll = if mount.upside_down { ", upside down" } else { "" };
+        let text = format!("[{:.3} m, {:.3} m, {:.3} rad]{roll}", pose.x, pose.y, pose.theta);
         match source {
-            MountSource::Parameter => self.shared.log.info(&format!("the laser's place on the base is {text}, by odometry.laser_in_base")),
-            MountSource::Transforms => self.shared.log.info(&format!("the laser's place on the base is {text}, by tf")),
+            MountSource::Parameter => self.shared.log.info(&format!("laser mount: {text}, from odometry.laser_in_base")),
+            MountSource::Transforms => self.shared.log.info(&format!("laser mount: {text}, from /tf")),
             MountSource::Assumed => self.shared.log.warn(
-                "the laser's place on the base is not known and taken to be the base's origin: set the parameter \
-                 odometry.laser_in_base to [x, y, yaw], or publish the transform from the base frame to the laser's on /tf_static",
+                "the laser mount is unknown, assuming that the laser is at the base origin: set the parameter \
+                 odometry.laser_in_base to [x, y, yaw], or publish the transform from base to laser frame on /tf_static",
             ),
         }
     }
 
-    /// Says what is odd in the scans.
-    pub(super) fn tell(&self, remarks: Vec<String>) {
+    /// Logs what is unusual about the scans.
+    pub(super) fn log_remarks(&self, remarks: Vec<String>) {
         for remark in remarks {
             self.shared.log.warn(&format!("scan: {remark}"));
         }

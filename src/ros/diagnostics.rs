@@ -1,4 +1,4 @@
-//! How the node is doing: `/diagnostics`, once a second by the wall clock.
+//! The state of the node on `/diagnostics`, once a second of wall time.
 
 use std::collections::BTreeSet;
 use std::mem;
@@ -20,33 +20,38 @@ use crate::quantile;
 /// Time between two messages.
 pub(super) const PERIOD: Duration = Duration::from_secs(1);
 
-/// Conditions that several nodes know.
-pub(super) const MOUNT_ASSUMED: &str = "the laser's place on the base is not known";
-pub(super) const ODOMETRY_DISBELIEVED: &str = "the matches contradict the odometry: it does not predict";
+/// The laser mount is unknown.
+pub(super) const MOUNT_ASSUMED: &str = "the laser mount is unknown, assuming the base origin: set odometry.laser_in_base";
+/// The odometry is rejected as a source of prediction.
+pub(super) const ODOMETRY_REJECTED: &str = "odometry is not used for prediction: it contradicts the scan matches";
+/// A single match contradicts the odometry.
 pub(super) const ODOMETRY_CONTRADICTED: &str =
-    "the last match contradicts the odometry: do wheels slip, or does the laser see what goes along with it?";
-pub(super) const IMU_DISBELIEVED: &str = "the matches contradict the IMU: it does not predict";
-pub(super) const OUTSIDE_PROFILE: &str = "the scans are of another kind than the profile's: its errors are not to be relied on";
-pub(super) const TRANSFORM_WITHHELD: &str = "transform held back: another node publishes it";
+    "the last match contradicts the odometry: the wheels may slip, or the laser sees something that moves with the robot";
+/// The IMU is rejected as a source of prediction.
+pub(super) const IMU_REJECTED: &str = "the IMU is not used for prediction: it contradicts the scan matches";
+/// The scans differ from those that the profile was made from.
+pub(super) const OUTSIDE_PROFILE: &str = "the scans differ from those of the profile: its predicted errors are unreliable";
+/// A transform is switched off because another node publishes it.
+pub(super) const TRANSFORM_WITHHELD: &str = "a transform is not published, since another node publishes it";
 
-/// What a node does with scans, in its words.
+/// How the messages describe what a node does with scans.
 #[derive(Clone, Copy)]
-pub(super) struct Task {
-    /// `scan matching`
+pub(super) struct TaskWording {
+    /// The noun, such as `scan matching`.
     pub(super) title: &'static str,
-    /// `matching`
+    /// The present participle, such as `matching`.
     pub(super) doing: &'static str,
-    /// `matched`
+    /// The past participle, such as `matched`.
     pub(super) done: &'static str,
 }
 
-/// One answer.
+/// Statistics of one answer.
 pub(super) struct Sample {
-    /// From the scan's arrival to the answer.
+    /// Time from the scan's arrival to the answer.
     pub(super) elapsed: Duration,
-    /// How much later than asked for it was.
+    /// Time by which the answer exceeded the time budget.
     pub(super) overrun: Duration,
-    /// Why the scan could not be used; `None`: it was used.
+    /// Why the scan could not be used; `None` if it was used.
     pub(super) problem: Option<String>,
 }
 
@@ -60,7 +65,7 @@ impl From<&Estimate> for Sample {
     }
 }
 
-/// What the thread that answers knows of itself, for others to see.
+/// Statistics that the worker thread collects for the diagnostics.
 #[derive(Default)]
 pub(super) struct Monitor {
     state: Mutex<State>,
@@ -71,9 +76,10 @@ struct State {
     counts: Counts,
     latencies: Vec<Duration>,
     problem: Option<String>,
-    /// What is not as it should be.
+    /// Abnormal conditions that hold now.
     conditions: BTreeSet<&'static str>,
-    /// Scans show the robot where odometry had it so much earlier, s; where that is known.
+    /// Lag of the wheel odometry behind the scans, s; `None` if unknown. Scans show the robot where the odometry had it this much
+    /// earlier.
     odometry_lag: Option<f64>,
 }
 
@@ -83,8 +89,8 @@ struct Counts {
     failed: u64,
     late: u64,
     worst_overrun: Duration,
-    refused: u64,
-    too_long: u64,
+    rejected: u64,
+    oversized: u64,
 }
 
 impl Monitor {
@@ -100,16 +106,16 @@ impl Monitor {
         }
     }
 
-    pub(super) fn count_refused(&self) {
-        self.lock().counts.refused += 1;
+    pub(super) fn count_rejected(&self) {
+        self.lock().counts.rejected += 1;
     }
 
-    /// Messages that were not even read.
-    pub(super) fn set_too_long(&self, count: u64) {
-        self.lock().counts.too_long = count;
+    /// Sets the number of messages that exceeded the size limit.
+    pub(super) fn set_oversized(&self, count: u64) {
+        self.lock().counts.oversized = count;
     }
 
-    /// Something is not as it should be, until it is said to be again.
+    /// Sets or clears an abnormal condition.
     pub(super) fn set_condition(&self, condition: &'static str, holds: bool) {
         let mut state = self.lock();
         if holds {
@@ -119,12 +125,12 @@ impl Monitor {
         }
     }
 
-    /// Scans show the robot where odometry had it so much earlier, s.
+    /// Sets the lag of the wheel odometry behind the scans, s.
     pub(super) fn set_odometry_lag(&self, lag: f64) {
         self.lock().odometry_lag = Some(lag);
     }
 
-    /// The state, and a new beginning for what is kept of one period only.
+    /// Returns the state, and clears what is collected per period.
     fn take(&self) -> State {
         let mut state = self.lock();
         let (latencies, problem) = (mem::take(&mut state.latencies), state.problem.take());
@@ -140,22 +146,22 @@ impl Monitor {
 pub(super) struct Diagnostics {
     output: Output<DiagnosticArray>,
     name: String,
-    task: Task,
+    task: TaskWording,
     before: (Counts, Dropped),
 }
 
 impl Diagnostics {
-    pub(super) fn new(ros: &Ros, task: Task) -> Result<Self, NodeError> {
+    pub(super) fn new(ros: &Ros, task: TaskWording) -> Result<Self, NodeError> {
         let name = format!("{}: {}", ros.name().trim_start_matches('/'), task.title);
         Ok(Self { output: Output::new(ros, "/diagnostics")?, name, task, before: (Counts::default(), Dropped::default()) })
     }
 
-    /// Reports on the time since the last report, `seconds` ago.
+    /// Publishes the report on the last period, which was `seconds` long.
     pub(super) fn publish(&mut self, ros: &Ros, monitor: &Monitor, dropped: Dropped, master_present: bool, seconds: f64) {
         let state = monitor.take();
         let (counts_before, dropped_before) = mem::replace(&mut self.before, (state.counts, dropped));
         let report = Report { task: self.task, state, counts_before, dropped, dropped_before, master_present, seconds };
-        let (level, message) = report.verdict();
+        let (level, message) = report.summary();
         let status =
             DiagnosticStatus { level, name: self.name.clone(), message, hardware_id: String::new(), values: report.values() };
         let rosrust::Time { sec, nsec } = ros.now();
@@ -164,9 +170,9 @@ impl Diagnostics {
     }
 }
 
-/// One period.
+/// The report on one period.
 struct Report {
-    task: Task,
+    task: TaskWording,
     state: State,
     counts_before: Counts,
     dropped: Dropped,
@@ -176,12 +182,13 @@ struct Report {
 }
 
 impl Report {
+    /// Increase of a count within the period.
     fn since(&self, count: fn(&Counts) -> u64) -> u64 {
         count(&self.state.counts) - count(&self.counts_before)
     }
 
-    /// The level, and the reasons for it.
-    fn verdict(&self) -> (i8, String) {
+    /// The level and the reasons for it.
+    fn summary(&self) -> (i8, String) {
         let (answered, failed) = (self.since(|c| c.answered), self.since(|c| c.failed));
         let dropped = self.dropped.scans - self.dropped_before.scans;
         let count = |count: u64, what: &str| (count > 0).then(|| format!("{count} {what}"));
@@ -191,7 +198,7 @@ impl Report {
             count(failed, &format!("of {answered} scans not {} ({problem})", self.task.done)),
             count(dropped, "scans dropped"),
             count(self.since(|c| c.late), "answers later than the time budget"),
-            count(self.since(|c| c.refused + c.too_long), "messages refused"),
+            count(self.since(|c| c.rejected + c.oversized), "messages refused"),
             count(self.dropped.events - self.dropped_before.events, "messages other than scans dropped"),
             (!self.master_present).then(|| "the ROS master does not answer".into()),
         ]
@@ -210,7 +217,8 @@ impl Report {
         let counts = &self.state.counts;
         let mut latencies = self.state.latencies.clone();
         latencies.sort_unstable();
-        let latency = |share| format!("{:.3}", quantile::of_sorted(&latencies, share).unwrap_or_default().as_secs_f64() * 1e3);
+        let latency =
+            |fraction| format!("{:.3}", quantile::of_sorted(&latencies, fraction).unwrap_or_default().as_secs_f64() * 1e3);
         let not_done = format!("scans not {}", self.task.done);
         let lag = self.state.odometry_lag.map(|lag| ("odometry lag [s]", format!("{lag:.2}")));
         let all = [
@@ -221,7 +229,7 @@ impl Report {
             ("deadline misses", counts.late.to_string()),
             ("deadline misses [%]", format!("{:.3}", 100.0 * counts.late as f64 / counts.answered.max(1) as f64)),
             ("worst overrun [ms]", format!("{:.3}", counts.worst_overrun.as_secs_f64() * 1e3)),
-            ("messages refused", (counts.refused + counts.too_long).to_string()),
+            ("messages refused", (counts.rejected + counts.oversized).to_string()),
             ("latency p50 [ms]", latency(0.5)),
             ("latency p99 [ms]", latency(0.99)),
             ("latency max [ms]", latency(1.0)),
@@ -236,7 +244,7 @@ mod tests {
 
     fn report(counts: Counts, problem: Option<&str>) -> Report {
         Report {
-            task: Task { title: "scan matching", doing: "matching", done: "matched" },
+            task: TaskWording { title: "scan matching", doing: "matching", done: "matched" },
             state: State { counts, problem: problem.map(Into::into), ..Default::default() },
             counts_before: Counts { answered: 10, ..Default::default() },
             dropped: Dropped::default(),
@@ -249,19 +257,19 @@ mod tests {
     #[test]
     fn the_level_follows_from_the_last_period() {
         let counts = |answered, failed| Counts { answered, failed, ..Default::default() };
-        assert_eq!(report(counts(50, 0), None).verdict(), (DiagnosticStatus::OK, "matching".into()));
-        assert_eq!(report(counts(10, 0), None).verdict(), (DiagnosticStatus::WARN, "no scans".into()));
+        assert_eq!(report(counts(50, 0), None).summary(), (DiagnosticStatus::OK, "matching".into()));
+        assert_eq!(report(counts(10, 0), None).summary(), (DiagnosticStatus::WARN, "no scans".into()));
         let some = (DiagnosticStatus::WARN, "3 of 40 scans not matched (fog)".into());
-        assert_eq!(report(counts(50, 3), Some("fog")).verdict(), some);
-        assert_eq!(report(counts(50, 40), Some("fog")).verdict().0, DiagnosticStatus::ERROR);
+        assert_eq!(report(counts(50, 3), Some("fog")).summary(), some);
+        assert_eq!(report(counts(50, 40), Some("fog")).summary().0, DiagnosticStatus::ERROR);
         let unknown = Report { master_present: false, ..report(counts(50, 0), None) };
-        assert_eq!(unknown.verdict().0, DiagnosticStatus::WARN);
+        assert_eq!(unknown.summary().0, DiagnosticStatus::WARN);
     }
 
     #[test]
-    fn percentiles_are_latencies_that_were_measured() {
+    fn percentiles_are_measured_latencies() {
         let sorted: Vec<Duration> = (1..=100).map(Duration::from_millis).collect();
-        let of = |share| quantile::of_sorted(&sorted, share).unwrap_or_default().as_millis();
+        let of = |fraction| quantile::of_sorted(&sorted, fraction).unwrap_or_default().as_millis();
         assert_eq!((of(0.5), of(0.99), of(1.0), of(0.0)), (50, 99, 100, 1));
         assert_eq!(quantile::of_sorted::<Duration>(&[], 0.5).unwrap_or_default(), Duration::ZERO);
     }

@@ -1,4 +1,4 @@
-//! A topic that a node reads: its name, its type, and what is done with a message. A node lists each of its own once.
+//! A topic that a node subscribes to: name, type and handler. Each node has one list of its inputs.
 
 use std::fmt::Display;
 
@@ -10,7 +10,7 @@ use crate::messages::std_msgs::Empty;
 
 type Handler<A> = Box<dyn Fn(&mut A, &RawMessage, &mut Context) + Send>;
 
-/// A topic that a node of the algorithm `A` reads.
+/// A topic that the node of the algorithm `A` subscribes to.
 pub(super) struct Input<A> {
     pub(super) topic: Topic,
     pub(super) handling: Handling<A>,
@@ -18,32 +18,32 @@ pub(super) struct Input<A> {
 
 /// How messages are handled.
 pub(super) enum Handling<A> {
-    /// A scan is answered, unless a newer one replaces it.
+    /// A scan to be processed, unless a newer one replaces it.
     Scan,
-    /// The same for a point cloud.
+    /// A point cloud, handled in the same way.
     Cloud,
-    /// It asks for the answer now.
+    /// A request to publish the answer at once.
     Interrupt,
-    /// It is taken into account, in the order of arrival.
+    /// Any other message. These are handled in the order of arrival.
     Event(Handler<A>),
 }
 
 impl<A> Input<A> {
-    /// The scans that the node answers, or the point clouds.
+    /// The scans or the point clouds that the node processes.
     pub(super) fn scans(are_clouds: bool) -> Self {
         if are_clouds {
-            Self { topic: Topic::vital::<PointCloud2>("cloud"), handling: Handling::Cloud }
+            Self { topic: Topic::required::<PointCloud2>("cloud"), handling: Handling::Cloud }
         } else {
-            Self { topic: Topic::vital::<LaserScan>("scan"), handling: Handling::Scan }
+            Self { topic: Topic::required::<LaserScan>("scan"), handling: Handling::Scan }
         }
     }
 
-    /// Requests for the answer now.
+    /// Requests to publish the answer at once.
     pub(super) fn interrupts() -> Self {
         Self { topic: Topic::of::<Empty>("icp_interrupt"), handling: Handling::Interrupt }
     }
 
-    /// Messages of type `T`, each handed to `take` in the order of arrival. One that gives an error is refused.
+    /// Messages of type `T`. Each is passed to `take` in the order of arrival, and rejected if `take` returns an error.
     pub(super) fn of<T: Message, E: Display>(
         name: &'static str,
         take: impl Fn(&mut A, &T) -> Result<(), E> + Send + 'static,
@@ -51,7 +51,7 @@ impl<A> Input<A> {
         Self::with_context(name, move |algorithm, message, _, _| take(algorithm, message))
     }
 
-    /// The same; `take` is also given the message as it came, and the context of the thread.
+    /// The same, but `take` also receives the raw message and the context of the worker thread.
     pub(super) fn with_context<T: Message, E: Display>(
         name: &'static str,
         take: impl Fn(&mut A, &T, &RawMessage, &mut Context) -> Result<(), E> + Send + 'static,
@@ -60,15 +60,15 @@ impl<A> Input<A> {
             if let Some(message) = context.reader.read::<T>(name, raw)
                 && let Err(problem) = take(algorithm, &message, raw, context)
             {
-                context.reader.refuse(name, &raw.sender, &problem);
+                context.reader.reject(name, &raw.sender, &problem);
             }
         };
         Self { topic: Topic::of::<T>(name), handling: Handling::Event(Box::new(handler)) }
     }
 
-    /// The same input; without it the node does nothing useful.
-    pub(super) fn vital(mut self) -> Self {
-        self.topic.is_vital = true;
+    /// Marks an input without which the node cannot do its work.
+    pub(super) fn required(mut self) -> Self {
+        self.topic.is_required = true;
         self
     }
 }

@@ -1,35 +1,36 @@
-//! Who may call for the answer before its time: anybody by the topic `icp_interrupt`, and a controller on the same machine by shared
-//! memory.
+//! Requests to publish the answer early: by any node on the topic `icp_interrupt`, or by a controller on the same machine through
+//! shared memory.
 
 use std::time::Duration;
 
 use super::NodeError;
-use crate::anytime::interrupt::{Interrupt, Request};
+use crate::anytime::interrupt::{Interrupt, InterruptRequest};
 use crate::app::Estimate;
 use crate::matching::StopReason;
 use crate::shared_memory::{Responder, SharedEstimate};
 
-/// A request in shared memory does not wake a thread that waits for something else: how often such a wait polls for requests.
-pub(super) const LOOK: Duration = Duration::from_millis(1);
+/// Time between two checks for requests during other waits: a request in shared memory does not wake such a thread.
+pub(super) const POLL_PERIOD: Duration = Duration::from_millis(1);
 
-/// The requests for the scan that is being worked on. One that comes while there is none asks for nothing: the newest answer is out.
+/// Interrupt requests for the current scan. A request between two scans has no effect, since the latest answer is already
+/// published.
 pub(super) struct Interrupts {
-    topic: Request,
+    topic: InterruptRequest,
     segment: Option<Responder>,
 }
 
 impl Interrupts {
-    /// With `segment`, the shared memory of that name is offered as well.
+    /// `segment`: name of a shared memory segment to create, if any.
     pub(super) fn new(segment: Option<&str>) -> Result<Self, NodeError> {
-        Ok(Self { topic: Request::default(), segment: segment.map(Responder::create).transpose()? })
+        Ok(Self { topic: InterruptRequest::default(), segment: segment.map(Responder::create).transpose()? })
     }
 
-    /// Somebody calls by the topic.
+    /// Handles a request on the topic.
     pub(super) fn request(&self) {
         self.topic.make();
     }
 
-    /// A scan is taken up: requests from now on are for it.
+    /// Starts a new scan: later requests are for it.
     pub(super) fn begin(&self) {
         self.topic.clear();
         if let Some(segment) = &self.segment {
@@ -37,14 +38,14 @@ impl Interrupts {
         }
     }
 
-    /// The answer is out.
+    /// Writes the published answer to shared memory.
     pub(super) fn publish(&self, estimate: &Estimate) {
         if let Some(segment) = &self.segment {
             segment.publish(&shared(estimate));
         }
     }
 
-    /// The scan taken up was none.
+    /// Ends the current scan without an answer, since it was malformed.
     pub(super) fn abandon(&self) {
         if let Some(segment) = &self.segment {
             segment.abandon();

@@ -1,4 +1,4 @@
-//! Parameters that change while the node runs: a few take effect at once, the others are refused.
+//! Parameters that are changed while the node runs: a few take effect at once, changes of the others are ignored with a warning.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -10,10 +10,10 @@ use crate::anytime::contract::Contract;
 use crate::config::Config;
 use crate::knobs::Value;
 
-/// The change to what a configuration says.
+/// Makes the change that a configuration asks for.
 type ChangeTo = fn(&Config, &Contract) -> Change;
 
-/// What can be changed while the node runs, and the change that the configuration then asks for.
+/// The parameters that can be changed while the node runs, and what to do on a change.
 const LIVE: &[(&str, ChangeTo)] = &[
     ("contract.time_budget", |_, contract| Limit::TimeBudget(contract.time_budget).into()),
     ("contract.translation_error_bound", |_, contract| Limit::TranslationErrorBound(contract.translation_error_bound).into()),
@@ -31,7 +31,7 @@ fn transform(child: &str, on: bool) -> Change {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Change {
     Matching(MatchingChange),
-    /// Whether to say where `child` is.
+    /// Whether to publish the transform to `child`.
     PublishTransform {
         child: String,
         on: bool,
@@ -45,7 +45,8 @@ pub(super) enum MatchingChange {
     MaxIterations(u32),
 }
 
-/// A limit of the contract; the others stay as they are in force, wherever they came from.
+/// A new value for one limit of the contract. The other limits keep their current values, whether from parameters or from a
+/// topic.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Limit {
     TimeBudget(Option<Duration>),
@@ -60,7 +61,7 @@ impl From<Limit> for Change {
 }
 
 impl Limit {
-    /// The contract with this limit.
+    /// Returns the contract with this limit.
     pub(super) fn applied_to(self, contract: Contract) -> Contract {
         match self {
             Self::TimeBudget(time_budget) => Contract { time_budget, ..contract },
@@ -70,9 +71,9 @@ impl Limit {
     }
 }
 
-/// Looks what has changed among the private parameters of the node.
+/// Polls the private parameters of the node for changes.
 ///
-/// A parameter that is gone keeps its value: a master that was started again knows none.
+/// A deleted parameter keeps its value: a restarted master has no parameters at all.
 pub(super) struct ParameterWatch<'a> {
     master: &'a Master,
     node: String,
@@ -81,15 +82,15 @@ pub(super) struct ParameterWatch<'a> {
 }
 
 impl<'a> ParameterWatch<'a> {
-    /// For a node that runs with `config`, which it has from its parameters.
+    /// `config` is the configuration that the node has read from its parameters and runs with.
     pub(super) fn new(master: &'a Master, node: &str, config: &Config) -> Result<Self, NodeError> {
         let seen = leaves(&params::private_parameters(master, node)?);
         Ok(Self { master, node: node.into(), seen, config: config.clone() })
     }
 
-    /// The changes since the last look, each with its name and its value or with why it is refused. A master that does not answer
-    /// has changed nothing.
-    pub(super) fn look(&mut self) -> Vec<(String, Result<Change, String>)> {
+    /// Returns the changes since the last poll: the name and value of each parameter, and the change or the reason why it is
+    /// ignored. If the master does not answer, there are no changes.
+    pub(super) fn poll(&mut self) -> Vec<(String, Result<Change, String>)> {
         match params::private_parameters(self.master, &self.node) {
             Ok(tree) => self.compare(leaves(&tree)),
             Err(_) => Vec::new(),
@@ -107,7 +108,7 @@ impl<'a> ParameterWatch<'a> {
         changes
     }
 
-    /// `None`: it is what it was, said in another way.
+    /// Returns `None` if the value is the old one in another notation.
     fn change(&mut self, path: &str, value: &Value) -> Option<Result<Change, String>> {
         let mut config = self.config.clone();
         let source = format!("parameters of {}", self.node);
@@ -122,7 +123,10 @@ impl<'a> ParameterWatch<'a> {
         }
         let Some((_, change)) = LIVE.iter().find(|(live, _)| *live == path) else {
             let live: Vec<&str> = LIVE.iter().map(|(path, _)| *path).collect();
-            return Some(Err(format!("it takes effect when the node is started again; at once do: {}", live.join(", "))));
+            return Some(Err(format!(
+                "it takes effect after a restart of the node; only these take effect at once: {}",
+                live.join(", ")
+            )));
         };
         let change = match Contract::try_from(&config.contract) {
             Ok(contract) => change(&config, &contract),
@@ -133,7 +137,7 @@ impl<'a> ParameterWatch<'a> {
     }
 }
 
-/// The values of a tree of parameters by their paths.
+/// The values of a parameter tree by their dotted paths.
 fn leaves(tree: &Value) -> BTreeMap<String, Value> {
     let mut found = BTreeMap::new();
     let mut left = vec![(String::new(), tree)];
@@ -164,31 +168,31 @@ mod tests {
     }
 
     #[test]
-    fn some_changes_take_effect_and_others_are_refused() {
+    fn some_changes_take_effect_and_others_are_ignored() {
         let master = Master::new("http://localhost:1", "/node", "").unwrap();
         let mut watch = watch(&master, &json!({"contract": {"time_budget": "5ms"}, "matching": {"solver": "linearized"}}));
-        let mut look = |tree: Value| watch.compare(leaves(&tree));
-        assert_eq!(look(json!({"contract": {"time_budget": "5ms"}})), []);
-        assert_eq!(look(json!({"contract": {"time_budget": 0.005}})), [], "the same in another way");
-        let changes = look(json!({"contract": {"time_budget": 0.007}}));
+        let mut poll = |tree: Value| watch.compare(leaves(&tree));
+        assert_eq!(poll(json!({"contract": {"time_budget": "5ms"}})), []);
+        assert_eq!(poll(json!({"contract": {"time_budget": 0.005}})), [], "the same value in another notation");
+        let changes = poll(json!({"contract": {"time_budget": 0.007}}));
         let limit = Limit::TimeBudget(Some(Duration::from_millis(7)));
         assert_eq!(changes, [("contract.time_budget = 0.007".into(), Ok(Change::Matching(MatchingChange::Limit(limit))))]);
         let by_topic = Contract { translation_error_bound: Some(0.01), ..Contract::default() };
         assert_eq!(limit.applied_to(by_topic), Contract { time_budget: Some(Duration::from_millis(7)), ..by_topic });
-        let changes = look(json!({"publish_tf": false, "publish_map_tf": false, "matching": {"max_iterations": 3}}));
+        let changes = poll(json!({"publish_tf": false, "publish_map_tf": false, "matching": {"max_iterations": 3}}));
         let changes: Vec<Change> = changes.into_iter().map(|(_, change)| change.unwrap()).collect();
         let silent = |child: &str| Change::PublishTransform { child: child.into(), on: false };
         assert_eq!(changes, [Change::Matching(MatchingChange::MaxIterations(3)), silent("odom"), silent("base_link")]);
         for (tree, remedy) in [
-            (json!({"matching": {"solver": "point_to_line"}}), "started again"),
+            (json!({"matching": {"solver": "point_to_line"}}), "after a restart"),
             (json!({"matching": {"max_iterations": 0}}), "expected 1 to 1000"),
             (json!({"matching": {"max_iteration": 4}}), "did you mean"),
             (json!({"config": "other.yaml"}), "there is no parameter 'config'"),
         ] {
-            let [(_, Err(problem))] = &look(tree.clone())[..] else { panic!("{tree}") };
+            let [(_, Err(problem))] = &poll(tree.clone())[..] else { panic!("{tree}") };
             assert!(problem.contains(remedy), "{problem}");
-            assert_eq!(look(tree), [], "it is said once");
+            assert_eq!(poll(tree), [], "it is reported once");
         }
-        assert_eq!(look(Value::Null), [], "a master that was started again");
+        assert_eq!(poll(Value::Null), [], "a restarted master");
     }
 }

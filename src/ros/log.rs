@@ -1,4 +1,4 @@
-//! The log of a node: on stderr, and on `/rosout` once there is a master.
+//! The log of a node, on stderr and on `/rosout`.
 
 use std::collections::HashMap;
 use std::io::Write as _;
@@ -10,14 +10,16 @@ use rosrust::api::Ros;
 use rosrust_msg::rosgraph_msgs;
 
 use super::NodeError;
-use super::node_api::listed;
+use super::node_api::list_publisher;
 
-/// Topic of all nodes' logs.
+/// Topic of the logs of all nodes.
 pub(super) const ROSOUT: &str = "/rosout";
+/// Queue size of the `/rosout` publisher.
 const QUEUE: usize = 100;
+/// Minimum time between two warnings about the same subject.
 const WARNING_PERIOD: Duration = Duration::from_secs(1);
 
-/// Writes lines for people. They cannot fail: a closed stderr must not end the node.
+/// Writes log lines. Write errors are ignored: a closed stderr must not end the node.
 #[derive(Clone)]
 pub(super) struct Log {
     node: String,
@@ -27,7 +29,7 @@ pub(super) struct Log {
 impl Log {
     pub(super) fn new(ros: &Ros) -> Result<Self, NodeError> {
         let rosout = ros.publish(ROSOUT, QUEUE).map_err(|error| NodeError::ros("publish /rosout", &error))?;
-        Ok(Self { node: ros.name().into(), rosout: listed(ROSOUT.into(), rosout) })
+        Ok(Self { node: ros.name().into(), rosout: list_publisher(ROSOUT.into(), rosout) })
     }
 
     pub(super) fn info(&self, text: &str) {
@@ -49,19 +51,19 @@ impl Log {
     }
 }
 
-/// A line on stderr, for the time before there is a [`Log`].
+/// Prints a line on stderr. Use it directly only before there is a [`Log`].
 pub(super) fn print(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// Lets a warning of each subject through once a second.
+/// Limits the warnings about each subject to one per second.
 #[derive(Default)]
 pub(super) struct Throttle {
     last: HashMap<&'static str, Duration>,
 }
 
 impl Throttle {
-    /// Whether a warning about `subject` may be given when the clock reads `now`.
+    /// Whether a warning about `subject` may be logged at the time `now`.
     pub(super) fn allows(&mut self, subject: &'static str, now: Duration) -> bool {
         let allowed = self.last.get(subject).is_none_or(|last| now.saturating_sub(*last) >= WARNING_PERIOD);
         if allowed {

@@ -1,35 +1,35 @@
-//! Messages that have been received and not yet been processed.
+//! Queue of messages that have been received but not processed yet.
 
 use std::collections::VecDeque;
 use std::mem;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use super::interrupts::LOOK;
+use super::interrupts::POLL_PERIOD;
 use super::live_params::MatchingChange;
 use super::sink::RawMessage;
 use crate::anytime::interrupt::Interrupt;
 
-/// Capacity in events: four seconds of odometry at 1 kHz. During a longer match the oldest are lost.
-const CAPACITY: usize = 4096;
-/// Capacity in bytes: ordinary messages are small.
-const CAPACITY_BYTES: usize = 32 << 20;
-/// Scans that may wait, however patient they are: a third of a second at 1 kHz.
-const SCANS: usize = 333;
+/// Maximum number of queued events: four seconds of odometry at 1 kHz. During a longer match the oldest are lost.
+const MAX_EVENTS: usize = 4096;
+/// Maximum size of the queued events in bytes. Ordinary messages are small.
+const MAX_EVENT_BYTES: usize = 32 << 20;
+/// Maximum number of queued scans, whatever the maximum wait: a third of a second at 1 kHz.
+const MAX_SCANS: usize = 333;
 
-/// Anything but a scan.
+/// Anything that is queued except a scan.
 #[derive(Debug, PartialEq)]
 pub(super) enum Event {
-    /// A message of the input of this index among those of the node.
+    /// A message of the node's input with this index.
     Message(usize, RawMessage),
-    /// A request that is no message.
+    /// A request by a service or a parameter.
     Request(Request),
 }
 
-/// What is asked of a node by its services and parameters.
+/// A request to a node by one of its services or parameters.
 #[derive(Debug, PartialEq)]
 pub(super) enum Request {
-    /// A call of the service that starts again, whatever that is to the node.
+    /// A call of the service that resets the node; what that means depends on the node.
     Reset,
     /// A call of the service `save_profile`.
     SaveProfile,
@@ -46,15 +46,15 @@ impl Event {
     }
 }
 
-/// Work to do: first the events, in their order of arrival, then the scan.
+/// A batch of work: first the events in the order of their arrival, then the scan.
 #[derive(Debug, Default, PartialEq)]
-pub(super) struct Work {
+pub(super) struct Batch {
     pub(super) events: VecDeque<Event>,
     pub(super) scan: Option<RawMessage>,
 }
 
-/// Work for the thread of a node. A scan gives way to one that comes so long after it as scans may wait in line: at first at once, as an
-/// answer to an old one helps nobody.
+/// The queue of a node's worker thread. A queued scan is dropped when a newer one arrives at least the maximum wait after
+/// it. By default the maximum wait is zero: only the latest scan is processed.
 #[derive(Default)]
 pub(super) struct Mailbox {
     state: Mutex<State>,
@@ -64,19 +64,19 @@ pub(super) struct Mailbox {
 #[derive(Default)]
 struct State {
     events: VecDeque<Event>,
-    /// Of the events' messages.
+    /// Size of the queued events.
     bytes: usize,
-    /// In the order of arrival.
+    /// Queued scans in the order of arrival.
     scans: VecDeque<RawMessage>,
-    /// How long a scan may wait in line.
-    patience: Duration,
+    /// Maximum wait of a scan in the queue.
+    max_wait: Duration,
     dropped: Dropped,
     closed: bool,
 }
 
 impl State {
-    fn take(&mut self) -> Work {
-        Work { events: self.take_events(), scan: self.scans.pop_front() }
+    fn take(&mut self) -> Batch {
+        Batch { events: self.take_events(), scan: self.scans.pop_front() }
     }
 
     fn take_events(&mut self) -> VecDeque<Event> {
@@ -84,37 +84,37 @@ impl State {
         mem::take(&mut self.events)
     }
 
-    /// The scans that have to give way to the newest one go.
+    /// Drops the scans that the newest one replaces.
     fn drop_old_scans(&mut self) {
         let Some(newest) = self.scans.back().map(|raw| raw.arrival) else { return };
-        let gives_way = |raw: &RawMessage| newest.saturating_sub(raw.arrival) >= self.patience;
+        let is_replaced = |raw: &RawMessage| newest.saturating_sub(raw.arrival) >= self.max_wait;
         let last = self.scans.len() - 1;
-        let old = self.scans.iter().take(last).take_while(|raw| gives_way(raw)).count();
-        let old = old.max((last + 1).saturating_sub(SCANS));
+        let old = self.scans.iter().take(last).take_while(|raw| is_replaced(raw)).count();
+        let old = old.max((last + 1).saturating_sub(MAX_SCANS));
         self.scans.drain(..old);
         self.dropped.scans += old as u64;
     }
 
     fn is_overfull(&self) -> bool {
-        self.events.len() > CAPACITY || self.bytes > CAPACITY_BYTES
+        self.events.len() > MAX_EVENTS || self.bytes > MAX_EVENT_BYTES
     }
 
     fn is_idle(&mut self) -> bool {
         !self.closed && self.scans.is_empty() && self.events.is_empty()
     }
 
-    /// Whether there is nothing to go on with while a scan is held back, nor a newer one that it gives way to.
+    /// While a scan is held back for odometry: whether there are no events, and no reason to release the scan.
     fn is_idle_for_held_scan(&mut self) -> bool {
-        self.events.is_empty() && !self.is_held_scan_over()
+        self.events.is_empty() && !self.must_release_held_scan()
     }
 
-    /// Whether a scan that is held back gives way to a newer one, or to the end.
-    fn is_held_scan_over(&self) -> bool {
-        self.closed || (self.patience.is_zero() && !self.scans.is_empty())
+    /// Whether to stop holding a scan back, because a newer one has arrived or the node ends.
+    fn must_release_held_scan(&self) -> bool {
+        self.closed || (self.max_wait.is_zero() && !self.scans.is_empty())
     }
 }
 
-/// Interrupts deferred work when another scan is here.
+/// Interrupts deferred work when another scan has arrived.
 pub(super) struct NextScan<'a>(pub(super) &'a Mailbox);
 
 impl Interrupt for NextScan<'_> {
@@ -123,10 +123,10 @@ impl Interrupt for NextScan<'_> {
     }
 }
 
-/// Messages that were lost.
+/// Numbers of lost messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Dropped {
-    /// Scans replaced by newer ones, or lost on their way.
+    /// Scans replaced by newer ones, or lost in transport.
     pub(super) scans: u64,
     /// Other messages.
     pub(super) events: u64,
@@ -153,40 +153,41 @@ impl Mailbox {
         self.filled.notify_one();
     }
 
-    /// From now on scans wait in line for so long; for none: the newest takes the place of the one before.
-    pub(super) fn set_patience(&self, patience: Duration) {
+    /// Sets the maximum wait of scans in the queue. Zero: every scan replaces the one before.
+    pub(super) fn set_max_wait(&self, max_wait: Duration) {
         let mut state = self.lock();
-        if state.patience != patience {
-            state.patience = patience;
+        if state.max_wait != max_wait {
+            state.max_wait = max_wait;
             state.drop_old_scans();
         }
     }
 
-    /// Counts scans that were lost on their way.
+    /// Counts scans that were lost in transport.
     pub(super) fn count_lost_scans(&self, count: u64) {
         self.lock().dropped.scans += count;
     }
 
-    /// Waits for work. `None` once the mailbox is closed.
-    pub(super) fn take(&self) -> Option<Work> {
+    /// Waits for work. Returns `None` once the mailbox is closed.
+    pub(super) fn take(&self) -> Option<Batch> {
         let mut state = self.filled.wait_while(self.lock(), State::is_idle).unwrap_or_else(PoisonError::into_inner);
         (!state.closed).then(|| state.take())
     }
 
-    /// Waits for work, but no longer than `timeout`: then there may be none. `None` once the mailbox is closed.
-    pub(super) fn take_within(&self, timeout: Duration) -> Option<Work> {
+    /// Waits for work for at most `timeout`; after that the batch may be empty. Returns `None` once the mailbox is closed.
+    pub(super) fn take_within(&self, timeout: Duration) -> Option<Batch> {
         let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         (!state.closed).then(|| state.take())
     }
 
-    /// The events to go on with while a scan is held back, for which there is so much time `left`. `None`: it is to be answered now.
+    /// Waits for events while a scan is held back for at most `left`. Returns `None` if the scan must be processed now.
     pub(super) fn events_for_held_scan(&self, left: Duration, interrupt: &dyn Interrupt) -> Option<VecDeque<Event>> {
-        let wait_no_more = left.is_zero() || interrupt.is_requested() || self.lock().is_held_scan_over();
-        (!wait_no_more).then(|| self.take_events(left.min(LOOK)).unwrap_or_default())
+        let must_release = left.is_zero() || interrupt.is_requested() || self.lock().must_release_held_scan();
+        (!must_release).then(|| self.take_events(left.min(POLL_PERIOD)).unwrap_or_default())
     }
 
-    /// Waits for events while a scan is held back: at most `timeout`, and no longer once it gives way to a newer one. `None`: none came.
+    /// Waits for events while a scan is held back, for at most `timeout` or until the scan must be released. Returns `None` if
+    /// none came.
     fn take_events(&self, timeout: Duration) -> Option<VecDeque<Event>> {
         let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle_for_held_scan);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
@@ -194,7 +195,7 @@ impl Mailbox {
         (!events.is_empty()).then_some(events)
     }
 
-    /// Whether a scan is waiting.
+    /// Whether a scan is queued.
     pub(super) fn has_scan(&self) -> bool {
         !self.lock().scans.is_empty()
     }
@@ -209,7 +210,7 @@ impl Mailbox {
         self.filled.notify_all();
     }
 
-    /// The state is consistent at every moment, even if a thread has panicked while it held the lock.
+    /// Locks, ignoring poisoning: the state is consistent at all times, even if a thread panicked while holding the lock.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -226,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn the_newest_scan_wins_and_events_keep_their_order() {
+    fn only_the_latest_scan_is_kept_and_events_keep_their_order() {
         let mailbox = Mailbox::default();
         mailbox.put_event(Event::Message(0, raw(1)));
         mailbox.put_scan(raw(2));
@@ -239,48 +240,48 @@ mod tests {
     }
 
     #[test]
-    fn patient_scans_wait_in_line_and_the_old_ones_go() {
+    fn scans_wait_in_the_queue_for_at_most_the_maximum_wait() {
         let mailbox = Mailbox::default();
-        mailbox.set_patience(Duration::from_millis(10));
+        mailbox.set_max_wait(Duration::from_millis(10));
         (0..4).for_each(|i| mailbox.put_scan(raw(4 * i)));
         let next = || mailbox.take_within(Duration::ZERO).unwrap().scan.map(|scan| scan.arrival.as_millis());
-        assert_eq!((next(), mailbox.dropped().scans), (Some(4), 1), "the first gave way to the last");
+        assert_eq!((next(), mailbox.dropped().scans), (Some(4), 1), "the last one replaced the first");
         assert_eq!(mailbox.take_events(Duration::from_millis(1)), None);
         mailbox.put_event(RESET);
-        assert_eq!(mailbox.take_events(Duration::from_secs(60)), Some(VecDeque::from([RESET])), "whatever scans wait");
+        assert_eq!(mailbox.take_events(Duration::from_secs(60)), Some(VecDeque::from([RESET])), "even while scans are queued");
         assert_eq!((next(), next(), next(), mailbox.dropped().scans), (Some(8), Some(12), None, 1));
-        (0..SCANS as u64 + 5).for_each(|_| mailbox.put_scan(raw(100)));
-        assert_eq!(mailbox.dropped().scans, 6, "of so many at once some go");
-        mailbox.set_patience(Duration::ZERO);
-        assert_eq!((next(), next(), mailbox.dropped().scans), (Some(100), None, 5 + SCANS as u64));
+        (0..MAX_SCANS as u64 + 5).for_each(|_| mailbox.put_scan(raw(100)));
+        assert_eq!(mailbox.dropped().scans, 6, "the queue is bounded");
+        mailbox.set_max_wait(Duration::ZERO);
+        assert_eq!((next(), next(), mailbox.dropped().scans), (Some(100), None, 5 + MAX_SCANS as u64));
     }
 
     #[test]
     fn a_full_mailbox_loses_the_oldest_events_and_counts_them() {
         let mailbox = Mailbox::default();
-        for arrival in 0..CAPACITY as u64 + 2 {
+        for arrival in 0..MAX_EVENTS as u64 + 2 {
             mailbox.put_event(Event::Message(0, raw(arrival)));
         }
         let work = mailbox.take().unwrap();
-        assert_eq!((work.events.len(), work.events.front()), (CAPACITY, Some(&Event::Message(0, raw(2)))));
+        assert_eq!((work.events.len(), work.events.front()), (MAX_EVENTS, Some(&Event::Message(0, raw(2)))));
         assert_eq!(mailbox.dropped(), Dropped { scans: 0, events: 2 });
     }
 
     #[test]
-    fn events_that_wait_take_no_more_memory_than_they_may() {
+    fn queued_events_take_bounded_memory() {
         let mailbox = Mailbox::default();
         for arrival in 0..5 {
-            let bytes = vec![0; CAPACITY_BYTES / 3];
+            let bytes = vec![0; MAX_EVENT_BYTES / 3];
             mailbox.put_event(Event::Message(0, RawMessage { bytes, ..raw(arrival) }));
         }
         assert_eq!((mailbox.take().unwrap().events.len(), mailbox.dropped().events), (3, 2));
-        mailbox.put_event(Event::Message(0, RawMessage { bytes: vec![0; CAPACITY_BYTES + 1], ..raw(6) }));
+        mailbox.put_event(Event::Message(0, RawMessage { bytes: vec![0; MAX_EVENT_BYTES + 1], ..raw(6) }));
         mailbox.put_event(RESET);
-        assert_eq!((mailbox.take().unwrap().events.len(), mailbox.dropped().events), (1, 3), "too long to be kept at all");
+        assert_eq!((mailbox.take().unwrap().events.len(), mailbox.dropped().events), (1, 3), "too large to be queued at all");
     }
 
     #[test]
-    fn a_held_scan_waits_for_events_but_not_for_ever() {
+    fn a_held_scan_waits_for_events_for_a_limited_time() {
         let mailbox = Mailbox::default();
         assert_eq!(mailbox.take_events(Duration::from_millis(1)), None);
         mailbox.put_event(RESET);
@@ -290,9 +291,9 @@ mod tests {
     }
 
     #[test]
-    fn a_timer_is_not_held_up_where_there_is_nothing() {
+    fn an_empty_mailbox_does_not_delay_the_timer() {
         let mailbox = Mailbox::default();
-        assert_eq!(mailbox.take_within(Duration::from_millis(1)), Some(Work::default()));
+        assert_eq!(mailbox.take_within(Duration::from_millis(1)), Some(Batch::default()));
         mailbox.put_scan(raw(1));
         assert_eq!(mailbox.take_within(Duration::from_secs(60)).unwrap().scan, Some(raw(1)));
         mailbox.close();

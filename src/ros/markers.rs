@@ -5,10 +5,10 @@ use crate::messages::geometry_msgs::{self, Vector3};
 use crate::messages::std_msgs::{ColorRGBA, Header};
 use crate::messages::visualization_msgs::Marker;
 
-/// Height of one marker above another, and of the first above the map, m: or they would hide each other by turns.
+/// Height of one marker above the next, and of the first above the map, m: at the same height they would flicker.
 const LAYER: f64 = 0.02;
 
-/// How points are shown.
+/// Style of a marker.
 #[derive(Clone, Copy)]
 pub(super) struct Style {
     /// `Marker::POINTS`, `LINE_LIST` or `LINE_STRIP`.
@@ -19,7 +19,7 @@ pub(super) struct Style {
     pub(super) color: [f32; 3],
 }
 
-/// A marker for each style and its points, one above the other.
+/// Makes a marker for each style and its points, one above the other.
 pub(super) fn markers<const N: usize>(
     header: &Header,
     namespace: &str,
@@ -35,7 +35,7 @@ pub(super) fn markers<const N: usize>(
             ns: namespace.into(),
             id,
             type_: kind,
-            // RViz takes lines without ends for an error.
+            // RViz reports lines without points as an error.
             action: if points.is_empty() { Marker::DELETE } else { Marker::ADD },
             pose,
             scale: Vector3 { x: width, y: width, z: 0.0 },
@@ -46,7 +46,7 @@ pub(super) fn markers<const N: usize>(
     })
 }
 
-/// A point on the floor.
+/// A point at height zero.
 pub(super) fn point(p: &Point) -> geometry_msgs::Point {
     geometry_msgs::Point { x: p.x, y: p.y, z: 0.0 }
 }

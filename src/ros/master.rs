@@ -1,4 +1,4 @@
-//! The ROS master: waiting for it, and what to do when it goes away and comes back.
+//! The connection to the ROS master: waiting for it at the start, and registering again after it was restarted.
 
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::Duration;
@@ -12,17 +12,18 @@ use super::shutdown::StopSignal;
 use super::sockets;
 use super::tcpros::request_topic;
 
+/// Time between two attempts to reach the master at the start.
 const RETRY_PERIOD: Duration = Duration::from_millis(500);
 
-/// Waits until there is a master for the program `name`. `false`: the node is to stop instead.
+/// Waits until the master answers. Returns `false` if a signal stops the node first. `name` is the name of the program.
 pub(super) fn wait_for_master(name: &str, stop: &StopSignal) -> Result<bool, NodeError> {
     let uri = node_api::master_uri();
     let master = connect(&format!("/{name}"), "")?;
-    let mut told = false;
+    let mut is_logged = false;
     while let Err(error) = master.get_uri() {
-        if !told {
-            print(&format!("{name}: there is no ROS master at {uri} yet ({error}): waiting for it"));
-            told = true;
+        if !is_logged {
+            print(&format!("{name}: no ROS master at {uri} ({error}): waiting for it (start roscore, or check ROS_MASTER_URI)"));
+            is_logged = true;
         }
         if stop.wait(RETRY_PERIOD) {
             return Ok(false);
@@ -31,33 +32,33 @@ pub(super) fn wait_for_master(name: &str, stop: &StopSignal) -> Result<bool, Nod
     Ok(true)
 }
 
-/// The master as seen by the node of this name; `node_uri`: where rosrust answers for it.
+/// A client of the master that acts for the node of this name. `node_uri`: the XML-RPC address of rosrust.
 pub(super) fn connect(node: &str, node_uri: &str) -> Result<Master, NodeError> {
     let uri = node_api::master_uri();
     Master::new(&uri, node, node_api::uri(node_uri))
-        .map_err(|error| NodeError::ros(format!("use the ROS master's address '{uri}'"), &error))
+        .map_err(|error| NodeError::ros(format!("use the ROS master address '{uri}'"), &error))
 }
 
-/// `name` in full: in its namespace and remapped.
+/// The fully resolved name: with namespace and remapping.
 pub(super) fn resolved(ros: &Ros, name: &str) -> Result<String, NodeError> {
-    let problem = "it is no valid name";
+    let problem = "not a valid ROS name";
     ros.param(name)
         .map(|parameter| parameter.name().into())
         .ok_or_else(|| NodeError::ros(format!("use the name '{name}'"), &problem))
 }
 
-/// What the node has registered with the master, in the order of time. There is one list for the process, as there is one node.
+/// The registrations of the node with the master, oldest first. One list per process is enough, since a process runs one node.
 static REGISTERED: Mutex<Vec<Weak<MasterRegistration>>> = Mutex::new(Vec::new());
 
-/// Notes that something is registered with the master, until the result is dropped, and sets the options of its socket.
-pub(super) fn note(ros: &Ros, registration: MasterRegistration) -> Result<Arc<MasterRegistration>, NodeError> {
+/// Keeps track of a registration with the master until the result is dropped, and sets the options of its socket.
+pub(super) fn track_registration(ros: &Ros, registration: MasterRegistration) -> Result<Arc<MasterRegistration>, NodeError> {
     sockets::tune(&registration.port(ros)?.into_iter().collect());
     let registration = Arc::new(registration);
     REGISTERED.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(&registration));
     Ok(registration)
 }
 
-/// An entry in the registry of the master.
+/// A registration with the master.
 pub(super) enum MasterRegistration {
     Publisher { topic: &'static str, message_type: &'static str },
     Subscriber { topic: &'static str, message_type: &'static str },
@@ -65,21 +66,24 @@ pub(super) enum MasterRegistration {
 }
 
 impl MasterRegistration {
-    /// That of every node's log.
+    /// Every node publishes its log on this topic.
     const ROSOUT: Self = Self::Publisher { topic: log::ROSOUT, message_type: "rosgraph_msgs/Log" };
 
-    /// Of a service that has been offered; rosrust does not say where, but it has told the master.
+    /// The registration of an advertised service. rosrust does not expose the service's URI, but the master knows it.
     pub(super) fn of_service(ros: &Ros, name: &'static str) -> Result<Self, NodeError> {
         let uri = connect(ros.name(), ros.uri())?.lookup_service(&resolved(ros, name)?);
-        uri.map(|uri| Self::Service { name, uri }).map_err(|error| NodeError::ros(format!("offer the service '{name}'"), &error))
+        uri.map(|uri| Self::Service { name, uri })
+            .map_err(|error| NodeError::ros(format!("advertise the service '{name}'"), &error))
     }
 
-    /// The port it is reached by, if there is one of its own. Whoever subscribes is told.
+    /// The TCP port of a publisher or a service, as `requestTopic` and the service's URI give it. Subscribers have none.
     fn port(&self, ros: &Ros) -> Result<Option<u16>, NodeError> {
         match self {
             Self::Publisher { topic, .. } => {
                 let address = request_topic(ros.uri(), ros.name(), &resolved(ros, topic)?);
-                address.map(|(_, port)| Some(port)).map_err(|error| NodeError::ros(format!("find the port of '{topic}'"), &error))
+                address
+                    .map(|(_, port)| Some(port))
+                    .map_err(|error| NodeError::ros(format!("look up the TCPROS port of '{topic}'"), &error))
             }
             Self::Subscriber { .. } => Ok(None),
             Self::Service { uri, .. } => Ok(uri.rsplit(':').next().and_then(|port| port.trim_end_matches('/').parse().ok())),
@@ -100,12 +104,12 @@ impl MasterRegistration {
     }
 }
 
-/// Keeps the node known to the master. A master that was started again knows nothing of the nodes of its predecessor, whose links to
-/// each other live on: those must not be cut.
+/// Keeps the node registered with the master. A restarted master does not know the nodes of its predecessor. The connections
+/// between those nodes are still alive and must not be closed.
 pub(super) struct MasterLink<'a> {
     ros: &'a Ros,
     master: &'a Master,
-    /// That of the node's log.
+    /// Registration of the node's log.
     _rosout: Arc<MasterRegistration>,
     present: bool,
     log: Log,
@@ -113,34 +117,34 @@ pub(super) struct MasterLink<'a> {
 
 impl<'a> MasterLink<'a> {
     pub(super) fn new(ros: &'a Ros, master: &'a Master, log: &Log) -> Result<Self, NodeError> {
-        Ok(Self { ros, master, _rosout: note(ros, MasterRegistration::ROSOUT)?, present: true, log: log.clone() })
+        Ok(Self { ros, master, _rosout: track_registration(ros, MasterRegistration::ROSOUT)?, present: true, log: log.clone() })
     }
 
-    /// Whether the master answered when it was last asked.
+    /// Whether the master answered the last check.
     pub(super) fn is_present(&self) -> bool {
         self.present
     }
 
-    /// Looks whether the master is there and knows this node, and registers again where it does not.
+    /// Checks that the master answers and knows this node, and registers the node again if the master does not know it.
     pub(super) fn check(&mut self) {
         let known = self.master.lookup_node(self.ros.name());
         let answers = known.is_ok() || self.master.get_uri().is_ok();
         match (std::mem::replace(&mut self.present, answers), answers) {
-            (true, false) => self.log.warn("the ROS master does not answer: going on with the connections there are"),
-            (_, true) if known.is_err() => self.return_to_master(),
+            (true, false) => self.log.warn("the ROS master does not answer: keeping the existing connections"),
+            (_, true) if known.is_err() => self.register_again(),
             _ => {}
         }
     }
 
-    fn return_to_master(&mut self) {
+    fn register_again(&mut self) {
         let mut registered = REGISTERED.lock().unwrap_or_else(PoisonError::into_inner);
         registered.retain(|registration| registration.strong_count() > 0);
-        let standing: Vec<_> = registered.iter().filter_map(Weak::upgrade).collect();
+        let active: Vec<_> = registered.iter().filter_map(Weak::upgrade).collect();
         drop(registered);
-        match standing.iter().try_for_each(|registration| registration.register(self.ros, self.master)) {
-            Ok(()) => self.log.info("the ROS master was started again: registered again"),
+        match active.iter().try_for_each(|registration| registration.register(self.ros, self.master)) {
+            Ok(()) => self.log.info("the ROS master was restarted: registered again"),
             Err(error) => {
-                self.log.warn(&format!("the ROS master was started again: {error}"));
+                self.log.warn(&format!("the ROS master was restarted, and registering again failed: {error}; trying again"));
                 self.present = false;
             }
         }

@@ -1,17 +1,17 @@
-//! The ROS 1 nodes: the scan matcher, with a map (`mapper`) or without, the particle filter, a controller, a follower of paths, and a
-//! simulator. Nothing else in this project knows of rosrust.
+//! The ROS 1 nodes: the scan matcher with mapping (`mapper`) or without, the particle filter, a demo controller, a path follower,
+//! and a simulator. No other module of this project uses rosrust.
 //!
 //! ```text
 //!  reader threads             working thread                       main thread
 //!  subscriptions --> mailbox --> worker: algorithm --> publishers   node: signals, diagnostics at 1 Hz, the master
 //! ```
 //!
-//! A node has a folder: its `worker::Algorithm`, its list of `input::Input`, its publishers. The files beside the folders are what all
-//! nodes share.
+//! Each node has a folder with its `worker::Algorithm`, its list of `input::Input` and its publishers. The files beside the
+//! folders are shared by all nodes.
 //!
-//! Invariants: callbacks only note the arrival and fill the `mailbox`, so that nothing that is slow ever delays reception; a scan is
-//! either answered or counted as dropped; messages leave with the stamp of the scan they are about; nothing waits on ROS time, which
-//! may stand still.
+//! Invariants: callbacks only record the arrival time and fill the `mailbox`, so slow work never delays reception; every scan
+//! either gets an answer or is counted as dropped; outgoing messages carry the stamp of the scan they belong to; nothing waits on
+//! ROS time, which may stand still.
 
 mod context;
 pub mod contract_demo;
@@ -27,7 +27,6 @@ mod markers;
 mod master;
 mod node;
 mod node_api;
-mod numbering;
 mod output;
 mod params;
 pub mod particle_filter;
@@ -36,6 +35,7 @@ mod priority;
 pub mod racecar_sim;
 mod reader;
 mod scan_matcher;
+mod sequence;
 mod services;
 mod shutdown;
 mod sink;
@@ -57,15 +57,15 @@ use crate::io::map_file::MapError;
 use crate::shared_memory::SharedMemoryError;
 use crate::simulation::planner::NoLoop;
 
-/// Why the node cannot run.
+/// Why a node cannot run.
 #[derive(Debug, Error)]
 pub enum NodeError {
-    /// A parameter is wrong.
-    #[error("{problem}\nParameters stay on the master until they are deleted: rosparam delete {node}")]
+    /// A parameter is invalid.
+    #[error("{problem}\nParameters stay on the parameter server until they are deleted: rosparam delete {node}")]
     Parameters {
-        /// Full name of the node.
+        /// Fully resolved name of the node.
         node: String,
-        /// Which one, and what would be right.
+        /// The parameter, and what a valid value would be.
         problem: ConfigError,
     },
     /// The parameters give an invalid contract.
@@ -74,35 +74,35 @@ pub enum NodeError {
     /// A file that the configuration names is unusable.
     #[error(transparent)]
     Start(#[from] StartError),
-    /// The shared memory cannot be had.
+    /// The shared memory cannot be opened.
     #[error(transparent)]
     SharedMemory(#[from] SharedMemoryError),
     /// The map cannot be used.
     #[error(transparent)]
     Map(#[from] MapError),
-    /// There is no way to drive on and on in the world.
+    /// The world has no closed loop to drive.
     #[error(transparent)]
     Route(#[from] NoLoop),
-    /// A file of comma-separated values cannot be written.
+    /// The CSV file cannot be written.
     #[error("cannot write {problem}")]
     Csv {
-        /// The file, and the system's reason.
+        /// The file and the error of the operating system.
         problem: String,
     },
-    /// The ROS graph refused something.
+    /// An operation on the ROS graph failed.
     #[error("cannot {action}: {problem}")]
     Ros {
-        /// What was tried.
+        /// The operation that failed.
         action: String,
-        /// rosrust's or the master's reason.
+        /// The error of rosrust or of the master.
         problem: String,
     },
-    /// The operating system refused something.
+    /// A system call failed.
     #[error("cannot {action}: {problem}")]
     System {
-        /// What was tried.
+        /// The operation that failed.
         action: &'static str,
-        /// The system's reason.
+        /// The error of the operating system.
         problem: std::io::Error,
     },
 }

@@ -1,4 +1,4 @@
-//! What all nodes have in common: their parts, the thread that works, and what looks after it: signals, the master, the diagnostics.
+//! What all nodes have in common: setup, the worker thread, and the main thread that handles signals, the master and diagnostics.
 
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
@@ -8,14 +8,14 @@ use rosrust::api::{Master, Ros};
 
 use super::NodeError;
 use super::context::{Context, Shared};
-use super::diagnostics::{self, Diagnostics, Monitor, Task};
+use super::diagnostics::{self, Diagnostics, Monitor, TaskWording};
 use super::input::{Handling, Input};
 use super::interrupts::Interrupts;
 use super::log::Log;
 use super::mailbox::{Event, Mailbox};
-use super::master::{MasterLink, MasterRegistration, connect, note, wait_for_master};
+use super::master::{MasterLink, MasterRegistration, connect, track_registration, wait_for_master};
 use super::node_api;
-use super::numbering::Numbering;
+use super::sequence::SequenceTracker;
 use super::services::Service;
 use super::shutdown::StopSignal;
 use super::sink::RawMessage;
@@ -24,11 +24,11 @@ use super::worker::{Algorithm, Worker};
 use crate::anytime::clock::MonotonicClock;
 use crate::anytime::timer::Timer;
 
-/// How often the node looks whether it is to stop.
+/// Time between two checks for a request to stop.
 const TICK: Duration = Duration::from_millis(100);
 
-/// Runs `serve` as the ROS node `name` once there is a master; returns early when the node is to stop before. The arguments of the
-/// process are ROS's: remappings and parameters.
+/// Runs `serve` as the ROS node `name` as soon as there is a master; returns early if a signal stops the node before that. The
+/// process arguments are those of ROS: remappings and private parameters.
 pub(super) fn run(name: &str, serve: impl FnOnce(&Ros, &Master, &StopSignal) -> Result<(), NodeError>) -> Result<(), NodeError> {
     let stop = StopSignal::install()?;
     node_api::start()?;
@@ -37,16 +37,16 @@ pub(super) fn run(name: &str, serve: impl FnOnce(&Ros, &Master, &StopSignal) -> 
     }
     let ros = Ros::new(name).map_err(|error| NodeError::ros("start as a ROS node", &error))?;
     let outcome = connect(ros.name(), ros.uri()).and_then(|master| serve(&ros, &master, &stop));
-    ros.shutdown_sender().shutdown(); // removes the last registration with the master: rosrust's own publisher of /rosout
+    ros.shutdown_sender().shutdown(); // removes the last registration from the master: rosrust's own publisher of /rosout
     outcome
 }
 
-/// Starts a thread.
+/// Starts a named thread.
 pub(super) fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, NodeError> {
     thread::Builder::new().name(name.into()).spawn(work).map_err(no_thread)
 }
 
-/// The parts of a node, until it starts.
+/// The parts of a node that has not been built yet.
 pub(super) struct NodeParts<'a> {
     ros: &'a Ros,
     master: &'a Master,
@@ -56,7 +56,7 @@ pub(super) struct NodeParts<'a> {
 }
 
 impl<'a> NodeParts<'a> {
-    /// Without services and published topics so far.
+    /// Starts without services and published topics.
     pub(super) fn new(ros: &'a Ros, master: &'a Master) -> Result<Self, NodeError> {
         let shared = Shared {
             mailbox: Arc::new(Mailbox::default()),
@@ -68,13 +68,13 @@ impl<'a> NodeParts<'a> {
         Ok(Self { ros, master, shared, services: Vec::new(), diagnostics: None })
     }
 
-    /// Reports on `/diagnostics` how the node does its task.
-    pub(super) fn diagnose(&mut self, task: Task) -> Result<(), NodeError> {
+    /// Makes the node report its state on `/diagnostics`.
+    pub(super) fn diagnose(&mut self, task: TaskWording) -> Result<(), NodeError> {
         self.diagnostics = Some(Diagnostics::new(self.ros, task)?);
         Ok(())
     }
 
-    /// Subscribes to the inputs. The thread that works is called `name`.
+    /// Subscribes to the inputs. `name` is the name of the worker thread.
     pub(super) fn build<A: Algorithm + Send + 'a>(
         self,
         name: &'static str,
@@ -87,10 +87,10 @@ impl<'a> NodeParts<'a> {
         let mut registrations = Vec::new();
         for (index, input) in inputs.iter().enumerate() {
             subscribe(&subscriptions, index, input, &shared)?;
-            registrations.push(note(ros, input.topic.registration())?);
+            registrations.push(track_registration(ros, input.topic.registration())?);
         }
-        let of_worker = shared.clone();
-        let work = Box::new(move || Worker::new(algorithm, inputs, Context::new(of_worker)).run(timer));
+        let worker_shared = shared.clone();
+        let work = Box::new(move || Worker::new(algorithm, inputs, Context::new(worker_shared)).run(timer));
         let master = MasterLink::new(ros, master, &shared.log)?;
         Ok(Node {
             ros,
@@ -106,17 +106,17 @@ impl<'a> NodeParts<'a> {
     }
 }
 
-/// Subscribes to an input; what comes goes into the mailbox.
+/// Subscribes to an input and delivers its messages to the mailbox.
 fn subscribe<A>(subscriptions: &Subscriptions, index: usize, input: &Input<A>, shared: &Shared) -> Result<(), NodeError> {
     let (mailbox, interrupts) = (Arc::clone(&shared.mailbox), Arc::clone(&shared.interrupts));
-    let mut numbering = Numbering::default();
+    let mut sequence = SequenceTracker::default();
     match input.handling {
-        Handling::Scan | Handling::Cloud => subscriptions.listen(input.topic, move |raw: RawMessage| {
-            mailbox.count_lost_scans(numbering.lost_before(&raw).into());
+        Handling::Scan | Handling::Cloud => subscriptions.subscribe(input.topic, move |raw: RawMessage| {
+            mailbox.count_lost_scans(sequence.lost_before(&raw).into());
             mailbox.put_scan(raw);
         }),
-        Handling::Interrupt => subscriptions.listen(input.topic, move |_| interrupts.request()),
-        Handling::Event(_) => subscriptions.listen(input.topic, move |raw| mailbox.put_event(Event::Message(index, raw))),
+        Handling::Interrupt => subscriptions.subscribe(input.topic, move |_| interrupts.request()),
+        Handling::Event(_) => subscriptions.subscribe(input.topic, move |raw| mailbox.put_event(Event::Message(index, raw))),
     }
 }
 
@@ -127,31 +127,31 @@ pub(super) struct Node<'a> {
     shared: Shared,
     diagnostics: Option<Diagnostics>,
     subscriptions: Subscriptions<'a>,
-    // Dropping these ends them.
+    // Services and registrations end when they are dropped.
     _services: Vec<Service>,
     _registrations: Vec<Arc<MasterRegistration>>,
     thread: &'static str,
-    /// What the thread does; ends when the mailbox is closed.
-    work: Option<Work<'a>>,
+    /// Body of the worker thread; returns when the mailbox is closed.
+    work: Option<ThreadBody<'a>>,
 }
 
-type Work<'a> = Box<dyn FnOnce() + Send + 'a>;
+type ThreadBody<'a> = Box<dyn FnOnce() + Send + 'a>;
 
 impl Node<'_> {
-    /// Runs until it is told to stop. Once a second it looks after the master, does what else there is to `care` for while that
-    /// answers, and reports how it is doing.
-    pub(super) fn run(mut self, stop: &StopSignal, care: impl FnMut()) -> Result<(), NodeError> {
+    /// Runs until a signal or the master stops the node. Once a second it checks the master, calls `maintain` if the master
+    /// answers, and publishes diagnostics.
+    pub(super) fn run(mut self, stop: &StopSignal, maintain: impl FnMut()) -> Result<(), NodeError> {
         let Some(work) = self.work.take() else { return Ok(()) };
         thread::scope(|scope| {
             let worker = thread::Builder::new().name(self.thread.into()).spawn_scoped(scope, work).map_err(no_thread)?;
-            self.look_after(stop, care);
+            self.supervise(stop, maintain);
             self.shared.mailbox.close();
-            let _ = worker.join(); // a panic there has been reported by now
+            let _ = worker.join(); // a panic of the worker has already been printed
             Ok(())
         })
     }
 
-    fn look_after(&mut self, stop: &StopSignal, mut care: impl FnMut()) {
+    fn supervise(&mut self, stop: &StopSignal, mut maintain: impl FnMut()) {
         let mut last = self.shared.clock.now();
         while !stop.wait(TICK) && self.ros.is_ok() {
             let elapsed = self.shared.clock.now().saturating_sub(last);
@@ -159,7 +159,7 @@ impl Node<'_> {
                 last += elapsed;
                 self.master.check();
                 if self.master.is_present() {
-                    care();
+                    maintain();
                 }
                 self.diagnose(elapsed);
             }
@@ -169,7 +169,7 @@ impl Node<'_> {
     fn diagnose(&mut self, elapsed: Duration) {
         let Some(diagnostics) = &mut self.diagnostics else { return };
         let Shared { mailbox, monitor, .. } = &self.shared;
-        monitor.set_too_long(self.subscriptions.refused());
+        monitor.set_oversized(self.subscriptions.oversized());
         diagnostics.publish(self.ros, monitor, mailbox.dropped(), self.master.is_present(), elapsed.as_secs_f64());
     }
 }

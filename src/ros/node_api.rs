@@ -1,14 +1,15 @@
-//! What the node answers other nodes, the master and `rosnode` by XML-RPC, <http://wiki.ros.org/ROS/Slave_API>.
+//! The node's XML-RPC server, which other nodes, the master and `rosnode` call: <http://wiki.ros.org/ROS/Slave_API>.
 //!
-//! rosrust answers for the node, but does not say whom it is connected to (`rosnode info` fails), and it keeps to itself when the master
-//! tells of a new publisher. So this stands in front of it: rosrust takes a stand-in for its master, which hands every call on to the
-//! real one, but with this interface's address where rosrust gives its own. What comes here and is rosrust's business goes on to it.
+//! rosrust has such a server, but it does not list the node's connections (`rosnode info` fails), and it does not pass on the
+//! master's `publisherUpdate`. So this module is a proxy on both sides of rosrust. rosrust uses the proxy as its master; the
+//! proxy forwards every call to the real master and replaces rosrust's own address by that of this server. This server answers
+//! what rosrust cannot, and forwards the other calls to rosrust.
 //!
 //! ```text
-//!  master <---- stand-in <---- rosrust       other nodes, master ----> node's interface ----> rosrust
+//!  master <---- master proxy <---- rosrust       other nodes, master ----> node's server ----> rosrust
 //! ```
 //!
-//! There is one for the process, as there is one node.
+//! There is one instance per process, since a process runs one node.
 
 use std::env;
 use std::net::{SocketAddr, ToSocketAddrs as _};
@@ -21,10 +22,11 @@ use xml_rpc::{Fault, Params, Response, Server, Url, Value};
 
 use super::NodeError;
 
-/// Where rosrust looks for its master, unless an argument says otherwise.
+/// Environment variable from which rosrust reads the master's address, unless [`MASTER_ARGUMENT`] is given.
 const MASTER: &str = "ROS_MASTER_URI";
+/// Command-line argument that overrides the master's address.
 const MASTER_ARGUMENT: &str = "__master:=";
-/// The calls that rosrust makes of its master.
+/// Methods of the master that rosrust calls. The master proxy forwards them.
 const MASTER_CALLS: [&str; 20] = [
     "registerService",
     "unregisterService",
@@ -47,109 +49,117 @@ const MASTER_CALLS: [&str; 20] = [
     "hasParam",
     "getParamNames",
 ];
-/// The calls of a node that are rosrust's business alone.
+/// Methods of the node that are only forwarded to rosrust.
 const NODE_CALLS: [&str; 5] = ["shutdown", "getPid", "getPublications", "paramUpdate", "requestTopic"];
 
 static NODE: OnceLock<NodeApi> = OnceLock::new();
 
-/// Addresses, and what the node is connected to.
+/// Addresses and connections of the node.
 struct NodeApi {
     uri: String,
     master: Url,
-    /// rosrust's own address, once it has told it.
+    /// Address of rosrust's own server, known after its first registration.
     rosrust: OnceLock<String>,
-    inputs: Mutex<Option<Weak<dyn Inputs>>>,
-    outputs: Mutex<Vec<Output>>,
+    subscription_info: Mutex<Option<Weak<dyn SubscriptionInfo>>>,
+    published_topics: Mutex<Vec<PublishedTopic>>,
 }
 
-/// What the node is subscribed to.
-pub(super) trait Inputs: Send + Sync {
-    /// Topics and their types.
+/// Information about the node's subscriptions.
+pub(super) trait SubscriptionInfo: Send + Sync {
+    /// Subscribed topics and their types.
     fn topics(&self) -> Vec<(String, String)>;
-    /// Topics and the publishers they are connected to.
+    /// Subscribed topics and the publishers that they are connected to, one pair per connection.
     fn connections(&self) -> Vec<(String, String)>;
-    /// The master knows other publishers of a topic than before.
-    fn look_again(&self);
+    /// Called when the master reports that the publishers of a topic have changed.
+    fn on_publisher_update(&self);
 }
 
-/// Names of the nodes that listen to a topic; `None`: it is published no more.
-type Listeners = Box<dyn Fn() -> Option<Vec<String>> + Send>;
+/// Returns the names of a topic's subscribers, or `None` if the topic is no longer published.
+type SubscriberNames = Box<dyn Fn() -> Option<Vec<String>> + Send>;
 
-struct Output {
+struct PublishedTopic {
     topic: String,
-    listeners: Listeners,
+    subscribers: SubscriberNames,
 }
 
-/// Begins to answer for the node; to be called before rosrust starts, and while no other thread reads the environment. Where an argument
-/// says where the master is, rosrust goes there by itself and answers as far as it can.
+/// Starts the servers. Call this before rosrust starts and while no other thread reads the environment. If a command-line
+/// argument gives the master's address, nothing is started: rosrust would bypass the proxy.
 #[allow(unsafe_code)]
 pub(super) fn start() -> Result<(), NodeError> {
     if env::args().any(|argument| argument.starts_with(MASTER_ARGUMENT)) || NODE.get().is_some() {
         return Ok(());
     }
     let (master, host) = (resolve::master(), resolve::hostname());
-    let url = master.parse().map_err(|problem| NodeError::ros(format!("use the ROS master's address '{master}'"), &problem))?;
-    let stand_in = serve(stand_in(), "localhost")?;
+    let url = master.parse().map_err(|problem| NodeError::ros(format!("use the ROS master address '{master}'"), &problem))?;
+    let proxy = serve(master_proxy(), "localhost")?;
     let is_local = host == "localhost" || host.starts_with("127.");
-    let interface = serve(interface(), if is_local { &host } else { "0.0.0.0" })?;
-    let uri = format!("http://{host}:{}/", interface.port());
-    let _ = NODE.set(NodeApi { uri, master: url, rosrust: OnceLock::new(), inputs: Mutex::default(), outputs: Mutex::default() });
-    // SAFETY: The threads that there are wait for signals and connections, and do not read the environment.
-    unsafe { env::set_var(MASTER, format!("http://localhost:{}/", stand_in.port())) };
+    let server = serve(node_server(), if is_local { &host } else { "0.0.0.0" })?;
+    let uri = format!("http://{host}:{}/", server.port());
+    let _ = NODE.set(NodeApi {
+        uri,
+        master: url,
+        rosrust: OnceLock::new(),
+        subscription_info: Mutex::default(),
+        published_topics: Mutex::default(),
+    });
+    // SAFETY: The threads that exist by now wait for signals and connections, and do not read the environment.
+    unsafe { env::set_var(MASTER, format!("http://localhost:{}/", proxy.port())) };
     Ok(())
 }
 
-/// Where the master is.
+/// The master's address.
 pub(super) fn master_uri() -> String {
     NODE.get().map_or_else(resolve::master, |node| node.master.to_string())
 }
 
-/// The address that the node is known by, which rosrust takes to be `rosrusts`.
+/// The node's XML-RPC address; `rosrusts` is that of rosrust's server, which is used if no server was started here.
 pub(super) fn uri(rosrusts: &str) -> &str {
     NODE.get().map_or(rosrusts, |node| &node.uri)
 }
 
-/// Sets what the node is subscribed to.
-pub(super) fn set_inputs(inputs: &Arc<impl Inputs + 'static>) {
+/// Sets the source of information about the node's subscriptions.
+pub(super) fn set_subscription_info(subscription_info: &Arc<impl SubscriptionInfo + 'static>) {
     if let Some(node) = NODE.get() {
-        let inputs = Arc::downgrade(inputs);
-        *lock(&node.inputs) = Some(inputs);
+        let subscription_info = Arc::downgrade(subscription_info);
+        *lock(&node.subscription_info) = Some(subscription_info);
     }
 }
 
-/// A publisher that `rosnode info` lists as long as it lives.
-pub(super) fn listed<T: Message>(topic: String, publisher: Publisher<T>) -> Arc<Publisher<T>> {
+/// Makes `rosnode info` list a publisher for as long as it lives.
+pub(super) fn list_publisher<T: Message>(topic: String, publisher: Publisher<T>) -> Arc<Publisher<T>> {
     let publisher = Arc::new(publisher);
     if let Some(node) = NODE.get() {
         let weak = Arc::downgrade(&publisher);
-        let listeners = Box::new(move || Some(weak.upgrade()?.subscriber_names()));
-        lock(&node.outputs).push(Output { topic, listeners });
+        let subscribers = Box::new(move || Some(weak.upgrade()?.subscriber_names()));
+        lock(&node.published_topics).push(PublishedTopic { topic, subscribers });
     }
     publisher
 }
 
 impl NodeApi {
-    fn inputs(&self) -> Option<Arc<dyn Inputs>> {
-        lock(&self.inputs).as_ref()?.upgrade()
+    fn subscription_info(&self) -> Option<Arc<dyn SubscriptionInfo>> {
+        lock(&self.subscription_info).as_ref()?.upgrade()
     }
 
-    /// Topics that are published, with their listeners.
-    fn outputs(&self) -> Vec<(String, Vec<String>)> {
+    /// Published topics and the names of their subscribers.
+    fn published_topics(&self) -> Vec<(String, Vec<String>)> {
         let mut found = Vec::new();
-        lock(&self.outputs).retain(|Output { topic, listeners }| {
-            let listeners = listeners();
-            let is_there = listeners.is_some();
-            found.extend(listeners.map(|listeners| (topic.clone(), listeners)));
-            is_there
+        lock(&self.published_topics).retain(|PublishedTopic { topic, subscribers }| {
+            let subscribers = subscribers();
+            let is_published = subscribers.is_some();
+            found.extend(subscribers.map(|subscribers| (topic.clone(), subscribers)));
+            is_published
         });
         found
     }
 
-    /// Every connection: number, the other node, direction, transport, topic, whether it is there.
+    /// Every connection: number, the other node, direction, transport, topic, whether it is connected.
     fn bus_info(&self) -> Value {
-        let inward = self.inputs().map(|inputs| inputs.connections()).unwrap_or_default();
-        let outward =
-            self.outputs().into_iter().flat_map(|(topic, nodes)| nodes.into_iter().map(move |node| (topic.clone(), node)));
+        let inward = self.subscription_info().map(|subscription_info| subscription_info.connections()).unwrap_or_default();
+        let outward = self
+            .published_topics()
+            .into_iter()
+            .flat_map(|(topic, nodes)| nodes.into_iter().map(move |node| (topic.clone(), node)));
         let all = inward.into_iter().map(|connection| ("i", connection)).chain(outward.map(|connection| ("o", connection)));
         let line = |(number, (direction, (topic, node))): (i32, (&str, (String, String)))| {
             Value::Array(vec![
@@ -164,25 +174,25 @@ impl NodeApi {
         Value::Array((1..).zip(all).map(line).collect())
     }
 
-    /// Topics published and heard; what went through each connection is not counted.
+    /// Published and subscribed topics. Bytes and messages per connection are not counted.
     fn bus_stats(&self) -> Value {
         let none = || Value::Array(Vec::new());
         let published = |topic: String| Value::Array(vec![Value::String(topic), Value::Int(0), none()]);
-        let heard = |topic: String| Value::Array(vec![Value::String(topic), none()]);
-        let topics = self.inputs().map(|inputs| inputs.topics()).unwrap_or_default();
-        let outward = self.outputs().into_iter().map(|(topic, _)| published(topic)).collect();
-        let inward = topics.into_iter().map(|(topic, _)| heard(topic)).collect();
+        let subscribed = |topic: String| Value::Array(vec![Value::String(topic), none()]);
+        let topics = self.subscription_info().map(|subscription_info| subscription_info.topics()).unwrap_or_default();
+        let outward = self.published_topics().into_iter().map(|(topic, _)| published(topic)).collect();
+        let inward = topics.into_iter().map(|(topic, _)| subscribed(topic)).collect();
         let services = Value::Array(vec![Value::Int(0), Value::Int(0), Value::Int(0)]);
         Value::Array(vec![Value::Array(outward), Value::Array(inward), services])
     }
 
     fn subscriptions(&self) -> Value {
-        let topics = self.inputs().map(|inputs| inputs.topics()).unwrap_or_default();
+        let topics = self.subscription_info().map(|subscription_info| subscription_info.topics()).unwrap_or_default();
         let pair = |(topic, kind)| Value::Array(vec![Value::String(topic), Value::String(kind)]);
         Value::Array(topics.into_iter().map(pair).collect())
     }
 
-    /// Hands a call on to the master, as if the node's interface had made it.
+    /// Forwards a call of rosrust to the master, with the address of the node's server instead of rosrust's.
     fn call_master(&self, method: &str, mut arguments: Params) -> Response {
         if ["register", "subscribeParam"].iter().any(|start| method.starts_with(start))
             && let Some(address) = address(&arguments)
@@ -203,8 +213,8 @@ impl NodeApi {
     }
 }
 
-/// The stand-in for the master.
-fn stand_in() -> Server {
+/// The proxy that rosrust uses as its master.
+fn master_proxy() -> Server {
     let mut server = Server::new();
     for method in MASTER_CALLS {
         server.register_value(method, move |arguments| with_node(|node| node.call_master(method, arguments)));
@@ -212,8 +222,8 @@ fn stand_in() -> Server {
     server
 }
 
-/// The node's interface.
-fn interface() -> Server {
+/// The node's XML-RPC server.
+fn node_server() -> Server {
     let mut server = Server::new();
     for method in NODE_CALLS {
         server.register_value(method, move |arguments| with_node(|node| node.call_rosrust(method, arguments)));
@@ -224,10 +234,10 @@ fn interface() -> Server {
     server.register_value("getSubscriptions", |_| with_node(|node| Ok(answer(node.subscriptions()))));
     server.register_value("publisherUpdate", |arguments| {
         with_node(|node| {
-            if let Some(inputs) = node.inputs() {
-                inputs.look_again();
+            if let Some(subscription_info) = node.subscription_info() {
+                subscription_info.on_publisher_update();
             }
-            node.call_rosrust("publisherUpdate", arguments) // it hears ROS's time by itself
+            node.call_rosrust("publisherUpdate", arguments) // rosrust has its own subscription to /clock
         })
     });
     server
@@ -237,7 +247,7 @@ fn with_node(act: impl FnOnce(&NodeApi) -> Response) -> Response {
     NODE.get().map_or_else(|| Err(Fault::new(503, "the node is not ready yet")), act)
 }
 
-/// A call that went well: code, message, value.
+/// The response to a successful call: code, message, value.
 fn answer(value: Value) -> Params {
     vec![Value::Array(vec![Value::Int(1), Value::String(String::new()), value])]
 }
@@ -246,11 +256,11 @@ fn call(url: &Url, method: &str, arguments: Params) -> Response {
     xml_rpc::call_value(url, method, arguments).unwrap_or_else(|problem| Err(Fault::new(502, format!("{url}: {problem}"))))
 }
 
-/// Starts a server on a free port; where it listens.
+/// Starts a server on a free port and returns its address.
 fn serve(server: Server, host: &str) -> Result<SocketAddr, NodeError> {
-    let failed = |problem: String| NodeError::ros(format!("listen at {host}"), &problem);
+    let failed = |problem: String| NodeError::ros(format!("start an XML-RPC server at {host}"), &problem);
     let address = (host, 0).to_socket_addrs().map_err(|error| failed(error.to_string()))?.next();
-    let address = address.ok_or_else(|| failed("it has no address".into()))?;
+    let address = address.ok_or_else(|| failed("the host name has no address".into()))?;
     let bound = server.bind(&address).map_err(|error| failed(error.to_string()))?;
     let address = bound.local_addr();
     let spawned = thread::Builder::new().name("interface".into()).spawn(move || bound.run());
@@ -258,7 +268,7 @@ fn serve(server: Server, host: &str) -> Result<SocketAddr, NodeError> {
     Ok(address)
 }
 
-/// The caller's address among the arguments of a registration: the only one that is a page's.
+/// The caller's XML-RPC address among the arguments of a registration: the only argument that is an HTTP URL.
 fn address(arguments: &[Value]) -> Option<String> {
     arguments.iter().find_map(|argument| match argument {
         Value::String(address) if address.starts_with("http://") => Some(address.clone()),
@@ -267,6 +277,7 @@ fn address(arguments: &[Value]) -> Option<String> {
     })
 }
 
+/// Replaces the text `old` by `new`, also in nested arrays.
 fn replace(arguments: &mut [Value], old: &str, new: &str) {
     for argument in arguments {
         match argument {
@@ -277,7 +288,7 @@ fn replace(arguments: &mut [Value], old: &str, new: &str) {
     }
 }
 
-/// What is locked here is consistent at every moment, even if a thread has panicked while it held the lock.
+/// Locks, ignoring poisoning: the data is consistent at all times, even if a thread panicked while holding the lock.
 fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -287,7 +298,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn registrations_name_the_interface_in_the_place_of_rosrust() {
+    fn registrations_carry_the_address_of_the_node_server_instead_of_rosrusts() {
         let text = |text: &str| Value::String(text.into());
         let mut arguments = vec![Value::Array(vec![text("/node"), text("/scan"), text("type"), text("http://here:1/")])];
         assert_eq!(address(&arguments).as_deref(), Some("http://here:1/"));

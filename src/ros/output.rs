@@ -1,4 +1,4 @@
-//! The sending end of a topic.
+//! A published topic.
 
 use std::marker::PhantomData;
 use std::sync::Arc;
@@ -7,17 +7,17 @@ use rosrust::api::Ros;
 use rosrust::{Publisher, RawMessage, RawMessageDescription};
 
 use super::NodeError;
-use super::master::{MasterRegistration, note, resolved};
-use super::node_api::listed;
-use super::priority::urgently;
+use super::master::{MasterRegistration, resolved, track_registration};
+use super::node_api::list_publisher;
+use super::priority::with_real_time_priority;
 use crate::messages::{Message, encode};
 
-/// Messages that may wait for a subscriber: a bag played fast makes bursts of answers, and of `icp_state` every edge counts.
+/// Queue size per subscriber. A bag played fast makes bursts of answers, and no edge of `icp_state` may be lost.
 const QUEUE: usize = 100;
 
-/// A topic that messages of one type leave by.
+/// A publisher of messages of one type.
 ///
-/// rosrust writes the present time over stamps of zero and its own numbers over ours, so it is given bytes.
+/// Messages are serialized here, since rosrust would replace stamps of zero by the current time, and sequence numbers by its own.
 pub(super) struct Output<T> {
     resolved: String,
     publisher: Arc<Publisher<RawMessage>>,
@@ -37,38 +37,38 @@ impl<T: Message> Output<T> {
             .publish_with_description(topic, QUEUE, description)
             .map_err(|error| NodeError::ros(format!("publish '{topic}'"), &error))?;
         let resolved = resolved(ros, topic)?;
-        let publisher = listed(resolved.clone(), publisher);
-        let registration = note(ros, MasterRegistration::Publisher { topic, message_type: T::TYPE })?;
+        let publisher = list_publisher(resolved.clone(), publisher);
+        let registration = track_registration(ros, MasterRegistration::Publisher { topic, message_type: T::TYPE })?;
         Ok(Self { resolved, publisher, message: PhantomData, _registration: registration })
     }
 
-    /// A topic of what a controller waits for: the thread that writes its messages goes before all programs of normal priority.
+    /// A topic that a controller waits for: the thread that writes its messages to the sockets runs with real-time priority.
     pub(super) fn urgent(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
-        urgently(|| Self::new(ros, topic))
+        with_real_time_priority(|| Self::new(ros, topic))
     }
 
-    /// A topic whose new listeners are given the last message at once.
+    /// A latched topic.
     pub(super) fn latched(ros: &Ros, topic: &'static str) -> Result<Self, NodeError> {
         let output = Self::new(ros, topic)?;
         let mut publisher = Publisher::clone(&output.publisher);
         publisher.set_latching(true);
-        Ok(Self { publisher: listed(output.resolved.clone(), publisher), ..output })
+        Ok(Self { publisher: list_publisher(output.resolved.clone(), publisher), ..output })
     }
 
-    pub(super) fn has_listeners(&self) -> bool {
+    pub(super) fn has_subscribers(&self) -> bool {
         self.publisher.subscriber_count() > 0
     }
 
-    /// Hands a message over, if anybody listens; what it takes to make it is spent only then.
+    /// Publishes a message if there is a subscriber. `message` is called only then.
     pub(super) fn send(&self, message: impl FnOnce() -> T) {
-        if self.has_listeners() {
-            self.keep(&message());
+        if self.has_subscribers() {
+            self.send_always(&message());
         }
     }
 
-    /// Hands a message over to whoever listens, now or, on a latched topic, later.
-    pub(super) fn keep(&self, message: &T) {
-        // Neither can fail: the one writes to memory, the other only queues.
+    /// Publishes a message even without a subscriber: on a latched topic, later subscribers receive it.
+    pub(super) fn send_always(&self, message: &T) {
+        // Neither call can fail: `encode` writes to memory, and `send` only queues.
         let _ = self.publisher.send(RawMessage(encode(message).unwrap_or_default()));
     }
 }

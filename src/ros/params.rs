@@ -1,4 +1,4 @@
-//! The nodes' parameters.
+//! Reads the nodes' private parameters from the parameter server.
 
 use std::path::Path;
 
@@ -8,31 +8,31 @@ use super::NodeError;
 use crate::config::{Config, ConfigError, set_group};
 use crate::knobs::{KnobGroup, Value};
 
-/// Names a YAML file to read before the other parameters.
+/// Parameter that names a YAML file. The file is read first; the other parameters override it.
 pub(super) const CONFIG_FILE: &str = "config";
-/// Old nodes' way of prefixing frames: launch files set it for whole groups of nodes. It means nothing here.
+/// Deprecated frame prefix that launch files set for whole groups of nodes. It is ignored.
 const TF_PREFIX: &str = "tf_prefix";
 
-/// Reads the configuration from the private parameters of `node` on the master.
+/// Reads the configuration from the private parameters of `node`.
 pub(super) fn read(master: &Master, node: &str) -> Result<Config, NodeError> {
     let tree = private_parameters(master, node)?;
     configure(Config::default(), tree, node).map_err(|problem| NodeError::Parameters { node: node.into(), problem })
 }
 
-/// Reads the knobs of a node that has only one group of them.
+/// Reads the parameters of a node that has only one group of them.
 pub(super) fn read_group<G: KnobGroup + Default>(master: &Master, node: &str) -> Result<G, NodeError> {
     let (tree, mut group) = (private_parameters(master, node)?, G::default());
     let outcome = set_group(&mut group, &tree, &format!("parameters of {node}"));
     outcome.map(|()| group).map_err(|problem| NodeError::Parameters { node: node.into(), problem })
 }
 
-/// The value of a parameter does not go with the others.
-pub(super) fn refused(node: &str, name: &str, problem: String) -> NodeError {
+/// The error for a parameter whose value is invalid together with the others.
+pub(super) fn bad_value(node: &str, name: &str, problem: String) -> NodeError {
     let problem = ConfigError::BadValue { source_name: format!("parameters of {node}"), path: name.into(), problem };
     NodeError::Parameters { node: node.into(), problem }
 }
 
-/// The private parameters of `node` on the master as a tree.
+/// The private parameters of `node` as a tree.
 pub(super) fn private_parameters(master: &Master, node: &str) -> Result<Value, NodeError> {
     let failed = |error| NodeError::ros(format!("read the parameters of {node}"), &error);
     let exists = master.has_param(node).map_err(failed)?;
@@ -43,7 +43,7 @@ pub(super) fn private_parameters(master: &Master, node: &str) -> Result<Value, N
     Ok(tree)
 }
 
-/// `config`, changed by the file and by the parameters of a tree.
+/// Applies the configuration file and then the parameters of a tree to `config`.
 pub(super) fn configure(mut config: Config, mut tree: Value, node: &str) -> Result<Config, ConfigError> {
     if let Value::Object(parameters) = &mut tree
         && let Some(file) = parameters.remove(CONFIG_FILE)
@@ -56,7 +56,7 @@ pub(super) fn configure(mut config: Config, mut tree: Value, node: &str) -> Resu
     Ok(config)
 }
 
-/// An empty name is what a launch file hands on when it was given none.
+/// Reads a configuration file. An empty name means none: that is what a launch file passes on by default.
 fn read_file(config: &mut Config, file: &Value, node: &str) -> Result<(), ConfigError> {
     match file.as_str() {
         Some("") => Ok(()),
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn the_file_comes_first_and_single_parameters_win() {
+    fn single_parameters_override_the_file() {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "base_frame: car\nmatching: {max_iterations: 7}\n").unwrap();
         let tree = json!({"config": file.path(), "matching": {"max_iterations": 9}});
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_name_the_node_and_the_remedy() {
+    fn errors_name_the_node_and_the_remedy() {
         let typo = configured(json!({"matching": {"max_iteration": 9}}), "/node").unwrap_err().to_string();
         assert!(typo.contains("parameters of /node") && typo.contains("did you mean 'matching.max_iterations'"), "{typo}");
         assert!(configured(json!({"config": 3}), "/node").unwrap_err().to_string().contains("YAML file"));

@@ -1,4 +1,4 @@
-//! Decodes messages, and warns of those that cannot be used, at most once a second for each subject.
+//! Decodes messages, and warns of rejected ones at most once per second and subject.
 
 use std::fmt::Display;
 use std::sync::Arc;
@@ -18,23 +18,23 @@ pub(super) struct Reader {
 }
 
 impl Reader {
-    /// Messages that are rejected are counted by `monitor`.
+    /// `monitor` counts the rejected messages.
     pub(super) fn new(clock: &Arc<dyn Clock>, log: &Log, monitor: &Arc<Monitor>) -> Self {
         Self { clock: Arc::clone(clock), log: log.clone(), monitor: Arc::clone(monitor), throttle: Throttle::default() }
     }
 
-    /// Decodes a message. `subject`: its name in the warning if that fails.
+    /// Decodes a message. If that fails, the message is rejected; `subject` names it in the warning.
     pub(super) fn read<T: Message>(&mut self, subject: &'static str, raw: &RawMessage) -> Option<T> {
-        decode(&raw.bytes).map_err(|error| self.refuse(subject, &raw.sender, &error)).ok()
+        decode(&raw.bytes).map_err(|error| self.reject(subject, &raw.sender, &error)).ok()
     }
 
-    /// Counts a message that is rejected, and warns.
-    pub(super) fn refuse(&mut self, subject: &'static str, sender: &str, problem: &dyn Display) {
-        self.monitor.count_refused();
-        self.warn(subject, &format!("a message from {sender} is refused: {problem}"));
+    /// Counts a rejected message and warns.
+    pub(super) fn reject(&mut self, subject: &'static str, sender: &str, problem: &dyn Display) {
+        self.monitor.count_rejected();
+        self.warn(subject, &format!("message from {sender} rejected: {problem}"));
     }
 
-    /// Another warning about a subject.
+    /// Warns about a subject.
     pub(super) fn warn(&mut self, subject: &'static str, text: &str) {
         if self.throttle.allows(subject, self.clock.now()) {
             self.log.warn(&format!("{subject}: {text}"));

@@ -1,5 +1,5 @@
-//! The services of the nodes, nearly all of them `std_srvs/Trigger`: nothing that comes from the network says what to do in detail,
-//! nor names a file. The others hand maps out.
+//! The services of the nodes. Nearly all are `std_srvs/Trigger`, so requests from the network carry no arguments and name no
+//! files. The others return maps.
 
 use std::sync::mpsc::{Sender, SyncSender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,23 +12,23 @@ use rosrust_msg::std_srvs::{Trigger, TriggerRes};
 
 use super::NodeError;
 use super::mailbox::{Event, Mailbox, Request};
-use super::master::{MasterRegistration, note};
+use super::master::{MasterRegistration, track_registration};
 use crate::messages::{encode, nav_msgs};
 
-/// Longest wait for the matching thread, which may be amid a long match.
+/// Maximum wait for the matching thread, which may be busy with a long match.
 const TIMEOUT: Duration = Duration::from_secs(5);
 
-/// What came of a call, in words.
+/// The outcome of a call as a text for the caller.
 pub(super) type Reply = Result<String, String>;
 
-/// A service that can be called until this is dropped.
+/// An advertised service. Dropping this ends it.
 pub(super) struct Service {
-    _offered: rosrust::Service,
+    _service: rosrust::Service,
     _registration: Arc<MasterRegistration>,
 }
 
 impl Service {
-    fn offer(ros: &Ros, name: &'static str, act: impl Fn() -> Reply + Send + Sync + 'static) -> Result<Self, NodeError> {
+    fn advertise(ros: &Ros, name: &'static str, act: impl Fn() -> Reply + Send + Sync + 'static) -> Result<Self, NodeError> {
         let handle = move |_| {
             let reply = act();
             Ok(TriggerRes { success: reply.is_ok(), message: reply.unwrap_or_else(|problem| problem) })
@@ -36,74 +36,76 @@ impl Service {
         Self::of(ros, name, ros.service::<Trigger, _>(name, handle))
     }
 
-    fn of<E: std::fmt::Display>(ros: &Ros, name: &'static str, offered: Result<rosrust::Service, E>) -> Result<Self, NodeError> {
-        let failed = |error| NodeError::ros(format!("offer the service '{name}'"), &error);
-        let offered = offered.map_err(failed)?;
-        Ok(Self { _offered: offered, _registration: note(ros, MasterRegistration::of_service(ros, name)?)? })
+    fn of<E: std::fmt::Display>(ros: &Ros, name: &'static str, service: Result<rosrust::Service, E>) -> Result<Self, NodeError> {
+        let failed = |error| NodeError::ros(format!("advertise the service '{name}'"), &error);
+        let service = service.map_err(failed)?;
+        Ok(Self { _service: service, _registration: track_registration(ros, MasterRegistration::of_service(ros, name)?)? })
     }
 }
 
-/// A service that puts [`Request::Reset`] into the mailbox and answers in these words.
+/// A service that puts [`Request::Reset`] into the mailbox and returns the text `answer`.
 pub(super) fn reset(
     ros: &Ros,
     (name, answer): (&'static str, &'static str),
     mailbox: &Arc<Mailbox>,
 ) -> Result<Service, NodeError> {
     let mailbox = Arc::clone(mailbox);
-    Service::offer(ros, name, move || {
+    Service::advertise(ros, name, move || {
         mailbox.put_event(Event::Request(Request::Reset));
         Ok(answer.into())
     })
 }
 
-/// A service that answers with this map.
+/// A service that returns a fixed map.
 pub(super) fn static_map(ros: &Ros, name: &'static str, answer: GetMapRes) -> Result<Service, NodeError> {
     Service::of(ros, name, ros.service::<GetMap, _>(name, move |_| Ok(answer.clone())))
 }
 
-/// The map that was made last, if there is one yet.
+/// The latest map, if there is one yet.
 pub(super) type LastMap = Arc<Mutex<Option<nav_msgs::OccupancyGrid>>>;
 
-/// A service that answers with the map that was made last.
+/// A service that returns the latest map.
 pub(super) fn map(ros: &Ros, name: &'static str, last: LastMap) -> Result<Service, NodeError> {
     let answer = move |_| {
         let last = last.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        map_response(&last.ok_or("there is no map yet: no scan has been drawn")?)
+        map_response(&last.ok_or("there is no map yet: no scan has been added to it")?)
     };
     Service::of(ros, name, ros.service::<GetMap, _>(name, answer))
 }
 
-/// The same message in rosrust's own type, by way of the wire form that they share.
+/// Converts a map to rosrust's message type through the serialized form, which is the same.
 pub(super) fn map_response(message: &nav_msgs::OccupancyGrid) -> Result<GetMapRes, String> {
     let bytes = encode(message).map_err(|error| error.to_string())?;
     rosrust_msg::nav_msgs::OccupancyGrid::decode(&bytes[..]).map(|map| GetMapRes { map }).map_err(|error| error.to_string())
 }
 
-/// A service that gives an order to another thread and answers with what came of it.
-pub(super) fn ordered<O: Send + 'static>(
+/// A service that sends a command to another thread and returns that thread's reply.
+pub(super) fn delegated<O: Send + 'static>(
     ros: &Ros,
     name: &'static str,
-    orders: SyncSender<O>,
-    order: fn(Sender<Reply>) -> O,
+    commands: SyncSender<O>,
+    command: fn(Sender<Reply>) -> O,
 ) -> Result<Service, NodeError> {
-    let orders = Mutex::new(orders);
-    Service::offer(ros, name, move || {
+    let commands = Mutex::new(commands);
+    Service::advertise(ros, name, move || {
         let (sender, reply) = channel();
-        let orders = orders.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        orders.send(order(sender)).map_err(|_| "the node is ending")?;
-        reply.recv().unwrap_or_else(|_| Err("the node is ending".into()))
+        let commands = commands.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        commands.send(command(sender)).map_err(|_| "the node is shutting down")?;
+        reply.recv().unwrap_or_else(|_| Err("the node is shutting down".into()))
     })
 }
 
-/// The service that puts [`Request::SaveProfile`] into the mailbox, and by what it is to be answered.
+/// The service that puts [`Request::SaveProfile`] into the mailbox, and the channel that takes the matching thread's reply.
 pub(super) fn save_profile(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<(Service, Sender<Reply>), NodeError> {
     let (mailbox, (sender, replies)) = (Arc::clone(mailbox), channel());
     let replies = Mutex::new(replies);
     let save = move || {
         let replies = replies.lock().unwrap_or_else(PoisonError::into_inner);
-        while replies.try_recv().is_ok() {} // late replies to earlier calls
+        while replies.try_recv().is_ok() {} // late replies to earlier calls that timed out
         mailbox.put_event(Event::Request(Request::SaveProfile));
-        replies.recv_timeout(TIMEOUT).unwrap_or_else(|_| Err("the matching is too busy: try again".into()))
+        replies
+            .recv_timeout(TIMEOUT)
+            .unwrap_or_else(|_| Err(format!("the matching thread has not answered within {TIMEOUT:?}: try again")))
     };
-    Ok((Service::offer(ros, "~save_profile", save)?, sender))
+    Ok((Service::advertise(ros, "~save_profile", save)?, sender))
 }

@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM.
+//! Handling of SIGINT and SIGTERM.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,21 +11,21 @@ use signal_hook::iterator::Signals;
 
 use super::NodeError;
 
-/// Time to take leave of the master. It may hang; whoever pressed Ctrl-C is not to wait for it.
-const GRACE: Duration = Duration::from_millis(600);
-/// From one look whether that is over to the next.
-const LOOK: Duration = Duration::from_millis(50);
+/// Time for unregistering from the master. The master may hang, and the user who pressed Ctrl-C should not wait for it.
+const GRACE_PERIOD: Duration = Duration::from_millis(600);
+/// Time between two checks whether the process may exit.
+const POLL_PERIOD: Duration = Duration::from_millis(50);
 
-/// The wish that the node should stop.
+/// The request to stop the node, made by a signal.
 pub(super) struct StopSignal {
     received: Receiver<()>,
-    /// There is something to be saved first.
+    /// The process must not exit before something has been saved.
     is_held: Arc<AtomicBool>,
 }
 
 impl StopSignal {
-    /// From now on signals no longer end the process at once, but at the latest [`GRACE`] later, with exit code 0; while it is held, not
-    /// before a second signal.
+    /// Installs the handler. From now on a signal ends the process, with exit code 0, at the latest after [`GRACE_PERIOD`]. While
+    /// the exit is held, only a second signal ends it.
     pub(super) fn install() -> Result<Self, NodeError> {
         let system = |problem| NodeError::System { action: "handle signals", problem };
         let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(system)?;
@@ -35,9 +35,9 @@ impl StopSignal {
         let wait = move || {
             if signals.forever().next().is_some() {
                 let _ = sender.send(()); // fails when the node is ending anyway
-                thread::sleep(GRACE);
+                thread::sleep(GRACE_PERIOD);
                 while held.load(Ordering::Acquire) && signals.pending().next().is_none() {
-                    thread::sleep(LOOK);
+                    thread::sleep(POLL_PERIOD);
                 }
                 std::process::exit(0);
             }
@@ -46,12 +46,12 @@ impl StopSignal {
         Ok(Self { received, is_held })
     }
 
-    /// Whether the process waits for something to be saved.
+    /// Holds the exit until something has been saved, or releases it.
     pub(super) fn hold(&self, is_held: bool) {
         self.is_held.store(is_held, Ordering::Release);
     }
 
-    /// Waits for a signal; whether there was one.
+    /// Waits for a signal. Returns whether there was one.
     pub(super) fn wait(&self, timeout: Duration) -> bool {
         self.received.recv_timeout(timeout) != Err(RecvTimeoutError::Timeout)
     }

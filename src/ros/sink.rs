@@ -1,4 +1,4 @@
-//! The receiving end of a topic: bytes that are said to be of the right type, with the time they came.
+//! The receiving end of a topic: raw messages of the declared type with their arrival times.
 
 use std::collections::HashSet;
 use std::time::Duration;
@@ -8,66 +8,66 @@ use super::master::MasterRegistration;
 use super::tcpros::Header;
 use crate::messages::Message;
 
-/// A message as it came.
+/// A message in serialized form.
 #[derive(Debug, PartialEq)]
 pub(super) struct RawMessage {
-    /// Reading of the clock when it came.
+    /// Arrival time on the node's clock.
     pub(super) arrival: Duration,
     /// Name of the node that sent it.
     pub(super) sender: String,
-    /// Its wire form.
+    /// The serialized message.
     pub(super) bytes: Vec<u8>,
 }
 
-/// A topic to listen to.
+/// A topic to subscribe to.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Topic {
-    /// Its name before remapping.
+    /// Name before remapping.
     pub(super) name: &'static str,
     pub(super) message_type: &'static str,
     md5: &'static str,
-    /// The node needs it: while it has no publisher, the master is polled more often.
-    pub(super) is_vital: bool,
+    /// The node cannot work without it: while it has no publisher, the master is polled more often.
+    pub(super) is_required: bool,
 }
 
 impl Topic {
     pub(super) fn of<T: Message>(name: &'static str) -> Self {
-        Self { name, message_type: T::TYPE, md5: &T::definition().md5, is_vital: false }
+        Self { name, message_type: T::TYPE, md5: &T::definition().md5, is_required: false }
     }
 
-    pub(super) fn vital<T: Message>(name: &'static str) -> Self {
-        Self { is_vital: true, ..Self::of::<T>(name) }
+    pub(super) fn required<T: Message>(name: &'static str) -> Self {
+        Self { is_required: true, ..Self::of::<T>(name) }
     }
 
-    /// How it is registered with the master.
+    /// The registration with the master.
     pub(super) fn registration(self) -> MasterRegistration {
         MasterRegistration::Subscriber { topic: self.name, message_type: self.message_type }
     }
 }
 
-/// Where the messages of a topic go.
+/// Receives the messages of a topic.
 pub(super) struct Sink {
     pub(super) topic: Topic,
-    /// Nodes whose messages are of another type.
-    refused: HashSet<String>,
+    /// Publishers of another type, about which an error has been logged.
+    mismatched: HashSet<String>,
     receive: Box<dyn FnMut(RawMessage) + Send>,
 }
 
 impl Sink {
-    /// What comes goes to `receive`, which must not be slow.
+    /// Each message is passed to `receive`, which must be fast.
     pub(super) fn new(topic: Topic, receive: impl FnMut(RawMessage) + Send + 'static) -> Self {
-        Self { topic, refused: HashSet::new(), receive: Box::new(receive) }
+        Self { topic, mismatched: HashSet::new(), receive: Box::new(receive) }
     }
 
-    /// Whether what comes over the connection of this header is of the right type. If it is not, that is said once.
+    /// Whether the header of a connection announces the right type. If not, an error is logged once per publisher.
     pub(super) fn accepts(&mut self, header: &Header, sender: &str, topic: &str, log: &Log) -> bool {
         let field = |name: &str| header.get(name).map_or("", String::as_str);
         let Topic { message_type, md5, .. } = self.topic;
         let fits = [md5, "*"].contains(&field("md5sum"));
         if fits {
-            self.refused.remove(sender);
-        } else if self.refused.insert(sender.into()) {
-            let version = if field("type") == message_type { " of another version" } else { "" };
+            self.mismatched.remove(sender);
+        } else if self.mismatched.insert(sender.into()) {
+            let version = if field("type") == message_type { " with another definition (MD5 sum)" } else { "" };
             log.error(&format!(
                 "topic {topic}: {sender} publishes {}{version}, expected {message_type}: its messages are ignored",
                 field("type"),

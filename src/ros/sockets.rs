@@ -1,9 +1,10 @@
-//! What rosrust leaves out about the sockets it publishes and serves by.
+//! Socket options that rosrust does not set for its publishers and services.
 //!
-//! It writes to one subscriber after the other and waits for each: one that does not read would keep all others waiting. It reads the
-//! header of one new subscriber or caller after the other: one that sends none would keep all that come later waiting. And it leaves small
-//! messages to lie until the last one is acknowledged, 40 ms later. It lends nobody its sockets; they are found among the files of
-//! this process by their port. What is set for a socket that listens holds for those that it accepts.
+//! rosrust writes to its subscribers one after the other, and a subscriber that does not read would block all others: hence the
+//! write timeout. It reads the headers of new subscribers and callers one after the other, and one that sends none would block
+//! all later ones: hence the read timeout. And it leaves Nagle's algorithm on, which holds small messages until the last one is
+//! acknowledged, 40 ms later. rosrust does not expose its sockets; they are found by their port among the file descriptors of
+//! this process. Accepted sockets inherit the options of the listening socket.
 
 use std::collections::HashSet;
 use std::fs;
@@ -11,16 +12,16 @@ use std::time::Duration;
 
 use socket2::SockRef;
 
-/// A subscriber that does not read for so long is cut off; it may come back.
+/// A subscriber that does not read for this long is disconnected. It may reconnect.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
-/// For the header of a new subscriber or caller.
+/// Timeout for the header of a new subscriber or caller.
 const READ_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Tunes all sockets of this process at these ports; those that cannot be tuned work as before.
+/// Sets the options of all sockets of this process at these ports. Failures are ignored: such sockets work as before.
 pub(super) fn tune(ports: &HashSet<u16>) {
     let files = fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
     for descriptor in files.filter_map(|file| file.file_name().to_str()?.parse::<i32>().ok()) {
-        // Of what is no socket, nothing can be asked or set.
+        // On other kinds of files these calls fail and change nothing.
         let socket = SockRef::from(&descriptor);
         let port = socket.local_addr().ok().and_then(|address| Some(address.as_socket()?.port()));
         if port.is_some_and(|port| ports.contains(&port)) {

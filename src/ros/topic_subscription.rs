@@ -14,114 +14,115 @@ use super::sink::{Sink, Topic};
 use super::tcpros::{LinkError, connect, read_message, request_topic};
 use crate::anytime::clock::Clock;
 
-/// Time between the end of a connection and the next attempt.
+/// Time between the end of a connection and the next attempt to connect.
 const RETRY_PERIOD: Duration = Duration::from_millis(500);
-/// Who waits longer than this for a message of what the node lives on wants to know why.
-const SILENCE: Duration = Duration::from_secs(5);
+/// Time without messages on a required topic after which a warning is logged.
+const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// A topic, and a thread for each of its publishers. A link lives as long as its connection does: a master that has forgotten the
-/// publisher does not end it.
+/// The subscription to a topic, with a thread for each publisher. A link lasts as long as its TCP connection, even if the master
+/// no longer knows the publisher.
 pub(super) struct TopicSubscription {
-    /// The topic's name in full.
+    /// Fully resolved name of the topic.
     pub(super) topic: String,
     pub(super) node: String,
     pub(super) master: Arc<Master>,
     pub(super) clock: Arc<dyn Clock>,
     pub(super) log: Log,
     pub(super) sink: Mutex<Sink>,
-    is_vital: bool,
+    is_required: bool,
     publishers: Mutex<Publishers>,
-    refused: AtomicU64,
-    /// Connections that there are.
+    oversized: AtomicU64,
+    /// Number of open connections.
     open: AtomicU64,
     silence: Mutex<Silence>,
 }
 
-/// How long there have been no messages.
+/// Detects that no messages arrive.
 #[derive(Default)]
 struct Silence {
-    /// Reading of the clock when the last message came, or other publishers.
+    /// Time of the last message or of the last change of publishers.
     since: Duration,
-    /// There have been messages.
-    has_heard: bool,
-    is_told: bool,
+    /// Whether any message has arrived so far.
+    has_received: bool,
+    /// Whether the warning has been logged.
+    is_logged: bool,
 }
 
 impl Silence {
-    /// Somebody has spoken, or may be about to.
-    fn end(&mut self, now: Duration, has_heard: bool) {
-        *self = Self { since: now, has_heard: self.has_heard || has_heard, is_told: false };
+    /// Restarts the timeout, because a message arrived or the publishers changed.
+    fn restart(&mut self, now: Duration, has_received: bool) {
+        *self = Self { since: now, has_received: self.has_received || has_received, is_logged: false };
     }
 
-    /// Whether it has become too long; true once. A publisher that sent messages and has gone has ended: no warning.
-    fn becomes_too_long(&mut self, now: Duration, is_published: bool) -> bool {
-        let too_long = now.saturating_sub(self.since) >= SILENCE && (is_published || !self.has_heard);
-        too_long && !std::mem::replace(&mut self.is_told, true)
+    /// Returns `true` once when the timeout expires. There is no warning if a publisher sent messages and then left normally.
+    fn expires(&mut self, now: Duration, is_published: bool) -> bool {
+        let too_long = now.saturating_sub(self.since) >= SILENCE_TIMEOUT && (is_published || !self.has_received);
+        too_long && !std::mem::replace(&mut self.is_logged, true)
     }
 }
 
-/// Nodes, by name.
+/// Names of publishing nodes.
 #[derive(Default)]
 struct Publishers {
-    /// Those that the master knows.
-    wanted: HashSet<String>,
-    /// Those that have a thread.
-    linked: HashSet<String>,
-    /// Those that are connected.
-    heard: HashSet<String>,
+    /// Publishers that the master knows.
+    known: HashSet<String>,
+    /// Publishers that have a thread.
+    with_thread: HashSet<String>,
+    /// Publishers that are connected.
+    connected: HashSet<String>,
     throttle: Throttle,
 }
 
 impl TopicSubscription {
     pub(super) fn new(topic: String, node: &str, master: Arc<Master>, clock: Arc<dyn Clock>, log: Log, sink: Sink) -> Self {
-        let (is_vital, sink) = (sink.topic.is_vital, Mutex::new(sink));
-        let (publishers, refused, open) = (Mutex::default(), AtomicU64::new(0), AtomicU64::new(0));
+        let (is_required, sink) = (sink.topic.is_required, Mutex::new(sink));
+        let (publishers, oversized, open) = (Mutex::default(), AtomicU64::new(0), AtomicU64::new(0));
         let silence = Mutex::new(Silence { since: clock.now(), ..Silence::default() });
-        Self { topic, node: node.into(), master, clock, log, sink, is_vital, publishers, refused, open, silence }
+        Self { topic, node: node.into(), master, clock, log, sink, is_required, publishers, oversized, open, silence }
     }
 
-    /// Messages that were too long to be read.
-    pub(super) fn refused(&self) -> u64 {
-        self.refused.load(Ordering::Relaxed)
+    /// Number of messages that exceeded the size limit.
+    pub(super) fn oversized(&self) -> u64 {
+        self.oversized.load(Ordering::Relaxed)
     }
 
-    /// What is listened for.
-    pub(super) fn wanted(&self) -> Topic {
+    /// The topic as the node declares it.
+    pub(super) fn declared_topic(&self) -> Topic {
         lock(&self.sink).topic
     }
 
-    /// The nodes that it is connected to.
-    pub(super) fn heard(&self) -> Vec<String> {
-        lock(&self.publishers).heard.iter().cloned().collect()
+    /// The connected publishers.
+    pub(super) fn connected(&self) -> Vec<String> {
+        lock(&self.publishers).connected.iter().cloned().collect()
     }
 
-    /// Whether it is a needed topic without a publisher.
-    pub(super) fn is_missed(&self) -> bool {
-        self.is_vital && self.open.load(Ordering::Relaxed) == 0
+    /// Whether this is a required topic without a connection.
+    pub(super) fn lacks_publisher(&self) -> bool {
+        self.is_required && self.open.load(Ordering::Relaxed) == 0
     }
 
-    /// Of a needed topic: its publishers, when they have sent nothing for too long.
-    pub(super) fn falls_silent(&self) -> Option<Vec<String>> {
-        let mut publishers: Vec<String> = lock(&self.publishers).wanted.iter().cloned().collect();
+    /// If a required topic has just become silent: the names of its publishers.
+    pub(super) fn newly_silent(&self) -> Option<Vec<String>> {
+        let mut publishers: Vec<String> = lock(&self.publishers).known.iter().cloned().collect();
         publishers.sort_unstable();
-        let is_silent = self.is_vital && lock(&self.silence).becomes_too_long(self.clock.now(), !publishers.is_empty());
+        let is_silent = self.is_required && lock(&self.silence).expires(self.clock.now(), !publishers.is_empty());
         is_silent.then_some(publishers)
     }
 
-    /// Takes the publishers that the master knows, and connects to the new ones. Returns whether they have changed.
+    /// Sets the publishers that the master knows and connects to the new ones. Returns whether they have changed.
     pub(super) fn set_publishers(self: &Arc<Self>, mut names: HashSet<String>) -> bool {
         names.remove(&self.node);
         let mut publishers = lock(&self.publishers);
-        let has_changed = publishers.wanted != names;
-        let new: Vec<String> = names.difference(&publishers.linked).cloned().collect();
-        publishers.wanted = names;
+        let has_changed = publishers.known != names;
+        let new: Vec<String> = names.difference(&publishers.with_thread).cloned().collect();
+        publishers.known = names;
         if has_changed {
-            lock(&self.silence).end(self.clock.now(), false);
+            lock(&self.silence).restart(self.clock.now(), false);
         }
         for publisher in new {
             let (subscription, name) = (Arc::clone(self), publisher.clone());
-            match thread::Builder::new().name("link".into()).spawn(move || subscription.follow(&name)) {
-                Ok(_) => drop(publishers.linked.insert(publisher)),
+            match thread::Builder::new().name("link".into()).spawn(move || subscription.keep_connected(&name)) {
+                Ok(_) => drop(publishers.with_thread.insert(publisher)),
                 Err(error) if publishers.throttle.allows("thread", self.clock.now()) => {
                     self.log.warn(&format!("topic {}: no connection to {publisher}: cannot start a thread: {error}", self.topic));
                 }
@@ -131,32 +132,32 @@ impl TopicSubscription {
         has_changed
     }
 
-    /// Connects to `publisher`, again and again, as long as it is wanted.
-    fn follow(&self, publisher: &str) {
-        let (mut throttle, mut told) = (Throttle::default(), None);
+    /// Connects to `publisher`, and reconnects for as long as the master knows it.
+    fn keep_connected(&self, publisher: &str) {
+        let (mut throttle, mut logged) = (Throttle::default(), None);
         loop {
-            let (messages, problem) = self.link(publisher);
+            let (messages, problem) = self.connect_once(publisher);
             let problem = problem.to_string();
             thread::sleep(RETRY_PERIOD);
-            if self.is_done_with(publisher) {
+            if self.forget_if_gone(publisher) {
                 return;
             }
-            let news = messages > 0 || told.as_ref() != Some(&problem);
-            if news && throttle.allows("link", self.clock.now()) {
-                self.log.warn(&format!("topic {}: no connection to {publisher}: {problem}: trying again", self.topic));
-                told = Some(problem);
+            let is_new = messages > 0 || logged.as_ref() != Some(&problem);
+            if is_new && throttle.allows("link", self.clock.now()) {
+                self.log.warn(&format!("topic {}: no connection to {publisher}: {problem}; trying again", self.topic));
+                logged = Some(problem);
             }
         }
     }
 
-    /// Receives from `publisher` until the connection ends: the number of messages, and what ended it.
-    fn link(&self, publisher: &str) -> (u64, LinkError) {
+    /// Receives from `publisher` until the connection ends. Returns the number of messages and the reason for the end.
+    fn connect_once(&self, publisher: &str) -> (u64, LinkError) {
         let mut messages = 0;
         let problem = match self.receive(publisher, &mut messages) {
             Err(problem) => problem,
             Ok(never) => match never {},
         };
-        self.refused.fetch_add(u64::from(matches!(problem, LinkError::TooLong(_))), Ordering::Relaxed);
+        self.oversized.fetch_add(u64::from(matches!(problem, LinkError::Oversized(_))), Ordering::Relaxed);
         (messages, problem)
     }
 
@@ -164,20 +165,20 @@ impl TopicSubscription {
         let uri = self.master.lookup_node(publisher).map_err(|error| LinkError::Unknown(error.to_string()))?;
         let address = request_topic(&uri, &self.node, &self.topic)?;
         let (stream, header) = connect(&address, &self.node, &self.topic)?;
-        let fits = lock(&self.sink).accepts(&header, publisher, &self.topic, &self.log);
+        let is_right_type = lock(&self.sink).accepts(&header, publisher, &self.topic, &self.log);
         self.open.fetch_add(1, Ordering::Relaxed);
-        lock(&self.publishers).heard.insert(publisher.into());
-        let problem = self.hear(stream, fits, publisher, messages);
-        lock(&self.publishers).heard.remove(publisher);
+        lock(&self.publishers).connected.insert(publisher.into());
+        let problem = self.read_messages(stream, is_right_type, publisher, messages);
+        lock(&self.publishers).connected.remove(publisher);
         self.open.fetch_sub(1, Ordering::Relaxed);
         problem
     }
 
-    /// Takes messages from a connection until it breaks; those of the wrong type are only counted.
-    fn hear(
+    /// Reads messages from a connection until it breaks. Messages of the wrong type are only counted.
+    fn read_messages(
         &self,
         mut stream: TcpStream,
-        fits: bool,
+        is_right_type: bool,
         publisher: &str,
         messages: &mut u64,
     ) -> Result<std::convert::Infallible, LinkError> {
@@ -185,25 +186,25 @@ impl TopicSubscription {
             let bytes = read_message(&mut stream)?;
             let arrival = self.clock.now();
             *messages += 1;
-            if fits {
-                lock(&self.silence).end(arrival, true);
+            if is_right_type {
+                lock(&self.silence).restart(arrival, true);
                 lock(&self.sink).message(bytes, publisher, arrival);
             }
         }
     }
 
-    /// Whether the thread of a publisher ends, as it is no longer wanted.
-    fn is_done_with(&self, publisher: &str) -> bool {
+    /// Forgets the thread of a publisher that the master no longer knows. Returns whether the thread must end.
+    fn forget_if_gone(&self, publisher: &str) -> bool {
         let mut publishers = lock(&self.publishers);
-        let done = !publishers.wanted.contains(publisher);
-        if done {
-            publishers.linked.remove(publisher);
+        let is_gone = !publishers.known.contains(publisher);
+        if is_gone {
+            publishers.with_thread.remove(publisher);
         }
-        done
+        is_gone
     }
 }
 
-/// What is locked here is consistent at every moment, even if a thread has panicked while it held the lock.
+/// Locks, ignoring poisoning: the data is consistent at all times, even if a thread panicked while holding the lock.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -213,15 +214,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn silence_is_told_once_and_not_of_who_has_ended() {
+    fn silence_is_reported_once_and_not_after_a_publisher_has_left() {
         let at = Duration::from_secs;
         let mut silence = Silence::default();
-        assert!(!silence.becomes_too_long(at(4), false), "a normal start");
-        assert!(silence.becomes_too_long(at(5), false) && !silence.becomes_too_long(at(6), false), "nobody has come");
-        silence.end(at(7), false); // a publisher has come
-        assert!(!silence.becomes_too_long(at(11), true) && silence.becomes_too_long(at(12), true), "it sends nothing");
-        silence.end(at(13), true); // a message
-        assert!(!silence.becomes_too_long(at(60), false), "it has ended");
-        assert!(silence.becomes_too_long(at(60), true), "it goes on without a word");
+        assert!(!silence.expires(at(4), false), "a normal start");
+        assert!(silence.expires(at(5), false) && !silence.expires(at(6), false), "there is no publisher");
+        silence.restart(at(7), false); // a publisher appears
+        assert!(!silence.expires(at(11), true) && silence.expires(at(12), true), "it sends nothing");
+        silence.restart(at(13), true); // a message
+        assert!(!silence.expires(at(60), false), "the publisher has left");
+        assert!(silence.expires(at(60), true), "the publisher is there but sends nothing");
     }
 }

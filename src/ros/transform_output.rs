@@ -1,4 +1,5 @@
-//! The output of transforms, each of which can be switched while a node runs, and gives way to another node's.
+//! Publishes transforms. Each can be switched on and off while the node runs, and is switched off if another node publishes it
+//! too.
 
 use std::collections::BTreeSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -11,7 +12,7 @@ use crate::messages::geometry_msgs::TransformStamped;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::transforms::frame_name;
 
-/// Another node's transform.
+/// Another node that publishes a transform which conflicts with one of this node.
 pub(super) struct ConflictingPublisher<'a> {
     sender: &'a str,
     parent: &'a str,
@@ -19,32 +20,32 @@ pub(super) struct ConflictingPublisher<'a> {
 }
 
 impl<'a> ConflictingPublisher<'a> {
-    /// The transform that says where `child` is, if the message has one.
+    /// Finds a transform to `child` in a message.
     pub(super) fn find(message: &'a TFMessage, sender: &'a str, child: &'a str) -> Option<Self> {
         let child = frame_name(child);
         let transform = message.transforms.iter().find(|transform| frame_name(&transform.child_frame_id) == child)?;
         Some(Self { sender, parent: frame_name(&transform.header.frame_id), child })
     }
 
-    /// One that leads from `parent` to `child`, in one step or several.
+    /// A conflict with the transform from `parent` to `child`, which may be a chain of several.
     pub(super) fn new(sender: &'a str, parent: &'a str, child: &'a str) -> Self {
         Self { sender, parent: frame_name(parent), child: frame_name(child) }
     }
 }
 
-/// `/tf`, while there is something to say there.
+/// Publisher of `/tf`, advertised while at least one transform is on.
 #[derive(Default)]
 pub(super) struct TransformOutput(Mutex<State>);
 
 #[derive(Default)]
 struct State {
     output: Option<Output<TFMessage>>,
-    /// The frames whose places are said.
+    /// Child frames of the transforms that are on.
     children: BTreeSet<String>,
 }
 
 impl TransformOutput {
-    /// Whether to say where `child` is. As nothing is said any more, other nodes do not see this one among the publishers.
+    /// Switches the transform to `child` on or off. If none is on, the node no longer advertises `/tf`.
     pub(super) fn switch(&self, ros: &Ros, child: &str, on: bool) -> Result<(), NodeError> {
         let mut state = self.lock();
         if on {
@@ -58,19 +59,19 @@ impl TransformOutput {
         Ok(())
     }
 
-    /// A frame has one parent. Who else publishes one was there first, or knows better, as a simulator does: then the place of `child`
-    /// is said no more, if it was, and this is what to tell of it.
-    pub(super) fn give_way(&self, rival: &ConflictingPublisher, child: &str) -> Option<String> {
-        let ConflictingPublisher { sender, parent, child: rival } = rival;
+    /// Stops publishing the transform to `child`, and returns the warning to log if it was on. A frame can have only one parent,
+    /// and the other publisher takes precedence: it was there first, or knows better, as a simulator does.
+    pub(super) fn yield_to(&self, other: &ConflictingPublisher, child: &str) -> Option<String> {
+        let ConflictingPublisher { sender, parent, child: other_child } = other;
         self.lock().remove(child).then(|| {
             format!(
-                "{sender} publishes the transform {parent} -> {rival}: this node's own to {child} is held back from now on, as a frame \
-                 has one parent (parameters publish_tf, publish_map_tf)",
+                "{sender} publishes the transform {parent} -> {other_child}: this node stops publishing its own transform to \
+                 {child}, since a frame can have only one parent (to choose, set the parameters publish_tf and publish_map_tf)",
             )
         })
     }
 
-    /// Hands over those transforms that are on.
+    /// Publishes those of the transforms that are on.
     pub(super) fn send<const N: usize>(&self, transforms: impl FnOnce() -> [TransformStamped; N]) {
         let State { output, children } = &*self.lock();
         let is_on = |transform: &TransformStamped| children.contains(frame_name(&transform.child_frame_id));
@@ -85,12 +86,12 @@ impl TransformOutput {
 }
 
 impl State {
-    /// Whether it was there.
+    /// Switches the transform to `child` off. Returns whether it was on.
     fn remove(&mut self, child: &str) -> bool {
-        let was_there = self.children.remove(frame_name(child));
+        let was_on = self.children.remove(frame_name(child));
         if self.children.is_empty() {
             self.output = None;
         }
-        was_there
+        was_on
     }
 }

@@ -1,88 +1,89 @@
-//! The thread of a node: empties the mailbox, and drives the node's algorithm. A node is its [`Algorithm`], its topics and a launch
-//! file.
+//! The worker thread of a node: it empties the mailbox and calls the node's algorithm. A node consists of its [`Algorithm`], its
+//! topics and a launch file.
 
 use std::time::Duration;
 
 use super::context::Context;
 use super::input::{Handling, Input};
-use super::mailbox::{Event, Request, Work};
+use super::mailbox::{Batch, Event, Request};
 use super::sink::RawMessage;
 use crate::anytime::timer::Timer;
-use crate::app::sensed::Sensed;
+use crate::app::sensed::SensorMessage;
 use crate::time::Stamp;
 
-/// The algorithm of a node. What it does with the messages of its topics is in its [`Input`]s.
+/// The algorithm of a node. The handlers of its topics are in its [`Input`]s.
 pub(super) trait Algorithm {
-    /// Whether a scan is to wake the thread at once, before all programs of normal priority; else what came with it is heard first.
-    const WAKES_AT_ONCE: bool = false;
+    /// Whether the thread waits with real-time priority, so that a scan wakes it at once. If not, messages that come with the
+    /// scan are handled before it.
+    const REAL_TIME_WAKEUP: bool = false;
 
-    /// Before anything else, in the thread that works.
+    /// Called once in the worker thread, before anything else.
     fn begin(&mut self, _: &mut Context) {}
 
-    /// Does what is asked by a service or a parameter.
+    /// Handles a request by a service or a parameter.
     fn request(&mut self, _: Request, _: &mut Context) {}
 
-    /// How long to hold back a scan of this stamp for odometry; `None`: answer it now.
+    /// How long to hold back a scan of this stamp for odometry; `None`: process it now.
     fn wait_for_odometry(&self, _: Stamp) -> Option<Duration> {
         None
     }
 
-    /// How long a scan may wait in line while those before it are answered; for none: a newer one takes its place.
-    fn patience_in_line(&self) -> Duration {
+    /// Maximum wait of a scan in the queue. Zero: only the latest scan is processed.
+    fn max_queue_time(&self) -> Duration {
         Duration::ZERO
     }
 
-    /// Answers a scan that arrived when the clock read `arrival`.
-    fn answer(&mut self, _scan: &Sensed, _arrival: Duration, _: &mut Context) {}
+    /// Processes a scan that arrived at the time `arrival` and publishes the answer.
+    fn answer(&mut self, _scan: &SensorMessage, _arrival: Duration, _: &mut Context) {}
 
-    /// The timer calls, and there is no scan.
-    fn carry_on(&mut self, _: &mut Context) {}
+    /// Called when the timer expires and there is no scan.
+    fn on_timer(&mut self, _: &mut Context) {}
 
-    /// The node is ending.
+    /// Called once before the node ends.
     fn end(&mut self, _: &Context) {}
 }
 
-/// A node's thread.
+/// The worker thread of a node.
 pub(super) struct Worker<A> {
     algorithm: A,
     inputs: Vec<Input<A>>,
     context: Context,
-    /// The newest scan, until the timer calls for an answer.
-    held: Option<RawMessage>,
+    /// The latest scan, which is processed when the timer expires.
+    pending: Option<RawMessage>,
 }
 
 impl<A: Algorithm> Worker<A> {
-    /// For the thread that calls.
+    /// To be called in the worker thread.
     pub(super) fn new(algorithm: A, inputs: Vec<Input<A>>, context: Context) -> Self {
-        Self { algorithm, inputs, context, held: None }
+        Self { algorithm, inputs, context, pending: None }
     }
 
-    /// Works until the mailbox is closed. Scans are answered as they come, or when the timer calls.
+    /// Runs until the mailbox is closed. Scans are processed as they come or, with a timer, when it expires.
     pub(super) fn run(mut self, mut timer: Option<Timer>) {
-        self.context.urgency.set(false);
+        self.context.real_time.set(false);
         self.algorithm.begin(&mut self.context);
-        while let Some(Work { events, scan }) = self.next_work(timer.as_ref()) {
+        while let Some(Batch { events, scan }) = self.next_batch(timer.as_ref()) {
             self.handle(events);
             if let Some(scan) = scan {
-                let unused = self.held.replace(scan).is_some();
-                self.context.shared.mailbox.count_lost_scans(unused.into());
+                let is_replaced = self.pending.replace(scan).is_some();
+                self.context.shared.mailbox.count_lost_scans(is_replaced.into());
             }
             let now = self.context.shared.clock.now();
             if timer.as_mut().is_none_or(|timer| timer.is_due(now)) {
-                match self.held.take() {
-                    // Where a timer calls for the answer, the time counts from its call.
+                match self.pending.take() {
+                    // With a timer, the elapsed time counts from its expiry.
                     Some(raw) => self.answer(&raw, if timer.is_some() { now } else { raw.arrival }),
-                    None if timer.is_some() => self.algorithm.carry_on(&mut self.context),
+                    None if timer.is_some() => self.algorithm.on_timer(&mut self.context),
                     None => {}
                 }
             }
-            self.context.urgency.set(A::WAKES_AT_ONCE);
+            self.context.real_time.set(A::REAL_TIME_WAKEUP);
         }
         self.algorithm.end(&self.context);
     }
 
-    fn next_work(&self, timer: Option<&Timer>) -> Option<Work> {
-        self.context.shared.mailbox.set_patience(self.algorithm.patience_in_line());
+    fn next_batch(&self, timer: Option<&Timer>) -> Option<Batch> {
+        self.context.shared.mailbox.set_max_wait(self.algorithm.max_queue_time());
         match timer {
             Some(timer) => self.context.shared.mailbox.take_within(timer.left(self.context.shared.clock.now())),
             None => self.context.shared.mailbox.take(),
@@ -104,7 +105,7 @@ impl<A: Algorithm> Worker<A> {
 
     fn answer(&mut self, raw: &RawMessage, arrival: Duration) {
         self.context.shared.interrupts.begin();
-        match self.read_sensed(raw) {
+        match self.read_sensor_message(raw) {
             Some(scan) => {
                 self.await_odometry(scan.stamp(), arrival);
                 self.algorithm.answer(&scan, arrival, &mut self.context);
@@ -113,18 +114,18 @@ impl<A: Algorithm> Worker<A> {
         }
     }
 
-    fn read_sensed(&mut self, raw: &RawMessage) -> Option<Sensed> {
+    fn read_sensor_message(&mut self, raw: &RawMessage) -> Option<SensorMessage> {
         if self.inputs.iter().any(|input| matches!(input.handling, Handling::Cloud)) {
-            self.context.reader.read("cloud", raw).map(Sensed::Cloud)
+            self.context.reader.read("cloud", raw).map(SensorMessage::Cloud)
         } else {
-            self.context.reader.read("scan", raw).map(Sensed::Scan)
+            self.context.reader.read("scan", raw).map(SensorMessage::Scan)
         }
     }
 
-    /// Holds a scan back while the algorithm wants to see more odometry first.
+    /// Holds a scan back while the algorithm waits for odometry.
     fn await_odometry(&mut self, stamp: Stamp, arrival: Duration) {
-        while let Some(longest) = self.algorithm.wait_for_odometry(stamp) {
-            let left = (arrival + longest).saturating_sub(self.context.shared.clock.now());
+        while let Some(max_wait) = self.algorithm.wait_for_odometry(stamp) {
+            let left = (arrival + max_wait).saturating_sub(self.context.shared.clock.now());
             let Some(events) = self.context.shared.mailbox.events_for_held_scan(left, &*self.context.shared.interrupts) else {
                 return;
             };

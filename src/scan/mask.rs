@@ -1,4 +1,4 @@
-//! Rays that say nothing of the world, whatever they measure: those of no interest, and those that see the robot itself.
+//! Masks rays that must not be used: directions without interest, and directions in which the laser sees the robot itself.
 
 use std::f64::consts::TAU;
 
@@ -6,30 +6,30 @@ use crate::geometry::Point;
 use crate::knobs::{KnobValue, Value, expected, numbers};
 
 crate::knobs! {
-    /// Which rays of a scan count: for the matcher, the particle filter and maps alike.
+    /// The rays of a scan that are used, by the matcher, the particle filter and the mapper.
     pub struct ScanKnobs {
-        /// Rays that point farther clockwise than this are let go; unset: none. Bearings are in the laser's frame, seen from above.
+        /// Minimum bearing of the rays used; unset: no limit. Bearings are in the laser's frame, seen from above.
         min_angle: Option<f64> = None, in -7 to 7, unit "rad";
-        /// Rays that point farther counter-clockwise than this are let go; unset: none.
+        /// Maximum bearing of the rays used, counter-clockwise; unset: no limit.
         max_angle: Option<f64> = None, in -7 to 7, unit "rad";
-        /// Bearings at which the laser sees the robot itself: `[[from, to], ...]`, counter-clockwise. With a third number, `[from, to, range]`,
-        /// only readings up to that range are let go.
+        /// Sectors in which the laser sees the robot itself, whose rays are not used: `[[from, to], ...]`, counter-clockwise.
+        /// With a third number, `[from, to, range]`, only measurements up to that range are discarded.
         masked_sectors: Sectors = Sectors::default(), unit "rad, rad, m";
     }
 }
 
-/// Bearings at which readings are let go.
+/// A sector in which measurements are discarded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sector {
-    /// From this one, rad, ...
+    /// First bearing, rad.
     pub from: f64,
-    /// ... counter-clockwise to this one, rad.
+    /// Last bearing, counter-clockwise from the first, rad.
     pub to: f64,
-    /// Readings up to this, m; `None`: all.
+    /// Maximum range of the discarded measurements, m; `None`: all are discarded.
     pub range: Option<f64>,
 }
 
-/// Sectors, as a parameter.
+/// Sectors as a parameter.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sectors(pub Vec<Sector>);
 
@@ -54,18 +54,18 @@ impl KnobValue for Sectors {
     }
 }
 
-/// The rays that count.
+/// The mask of the rays that are used.
 #[derive(Clone, Debug, Default)]
 pub struct Mask {
     sectors: Vec<Sector>,
 }
 
 impl Mask {
-    /// By these knobs.
+    /// Creates the mask of these parameters.
     pub fn new(knobs: &ScanKnobs) -> Self {
         let mut sectors = knobs.masked_sectors.0.clone();
         if knobs.min_angle.is_some() || knobs.max_angle.is_some() {
-            // What is not between them; half a turn to the other side of the one there is.
+            // The sector outside the limits. With only one limit, it is half a turn wide.
             let from = knobs.max_angle.unwrap_or_else(|| knobs.min_angle.unwrap_or_default() + TAU / 2.0);
             let to = knobs.min_angle.unwrap_or_else(|| from + TAU / 2.0);
             sectors.push(Sector { from: from + f64::EPSILON, to: to - f64::EPSILON, range: None });
@@ -73,12 +73,12 @@ impl Mask {
         Self { sectors }
     }
 
-    /// Whether all rays count.
+    /// Whether all rays are used.
     pub fn is_empty(&self) -> bool {
         self.sectors.is_empty()
     }
 
-    /// Up to which range readings in a direction do not count, m; less than zero where all do.
+    /// The maximum range of the discarded measurements in a direction, m; negative if all measurements are used.
     pub fn limit(&self, direction: &Point) -> f64 {
         let bearing = direction.y.atan2(direction.x);
         let within = |sector: &&Sector| (bearing - sector.from).rem_euclid(TAU) <= (sector.to - sector.from).rem_euclid(TAU);
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn sectors_go_round_and_end_at_their_range() {
+    fn sectors_may_wrap_around_and_end_at_their_range() {
         let sectors = Sectors::from_value(&serde_json::json!([[3.0, -3.0], [0.1, 0.2, 0.5]])).unwrap();
         assert_eq!(Sectors::from_value(&sectors.to_value()).unwrap(), sectors);
         let mask = Mask::new(&ScanKnobs { masked_sectors: sectors, ..ScanKnobs::default() });
@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_to_either_side() {
+    fn angle_limits_apply_on_either_side() {
         let front = Mask::new(&ScanKnobs { min_angle: Some(-1.0), max_angle: Some(1.5), ..ScanKnobs::default() });
         assert!([-0.99, 0.0, 1.49].iter().all(|&bearing| limit(&front, bearing) < 0.0));
         assert!([-1.01, 1.51, 3.0].iter().all(|&bearing| limit(&front, bearing) > 0.0));

@@ -16,20 +16,22 @@ use super::layout::{MAGIC, SIZE, VERSION};
 use super::mapping::Mapping;
 use super::name;
 
-/// Waits look at memory for this long before they sleep: about as long as waking up takes. Longer would not help where the node has
-/// the same processor, and can only answer once the controller sleeps.
+/// Time for which a wait polls the memory before it sleeps: about as long as waking up takes. A longer time would not help if the
+/// node runs on the same core, because it can only answer once the controller sleeps.
 pub const SPIN: Duration = Duration::from_micros(10);
 
-/// Who sleeps looks this often whether the node still lives. (A node that closes the segment wakes all at once.)
+/// Period at which a sleeping controller checks that the node is still alive. (A node that closes the segment wakes all waiters
+/// at once.)
 pub const PEER_CHECK: Duration = Duration::from_millis(50);
 
-/// Attempts to read an estimate between two writings: the first ones at once, the others [`BETWEEN_READS`] apart.
-const READS_AT_ONCE: u32 = 100;
-const READS: u32 = 600;
-/// Lets a node go on that was stopped in the middle by a controller of higher priority.
-const BETWEEN_READS: Duration = Duration::from_micros(100);
+/// Number of attempts to read a consistent estimate without a pause.
+const READS_WITHOUT_PAUSE: u32 = 100;
+/// Total number of attempts; those after the first [`READS_WITHOUT_PAUSE`] are [`READ_PAUSE`] apart.
+const MAX_READS: u32 = 600;
+/// Pause between attempts to read: lets a node continue that a controller of higher priority has preempted while it was writing.
+const READ_PAUSE: Duration = Duration::from_micros(100);
 
-/// The number of a request: what its answer is known by. Numbers wrap around.
+/// The number of a request, which identifies its answer. Numbers wrap around.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RequestNumber(pub u32);
 
@@ -40,23 +42,23 @@ impl RequestNumber {
     }
 }
 
-/// Whether a count that wraps around is at `bound` or beyond: right as long as they are less than 2^31 apart.
+/// Whether a count that wraps around has reached `bound`. Correct as long as they are less than 2^31 apart.
 const fn has_reached(count: u32, bound: u32) -> bool {
     count.wrapping_sub(bound) < 1 << 31
 }
 
-/// What has been counted so far. All counts wrap around.
+/// The counts so far. All counts wrap around.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Counts {
-    /// Number of the last request answered, and with it of all before.
+    /// Number of the last answered request; all earlier ones are answered, too.
     pub acknowledged: u32,
-    /// Requests made.
+    /// Number of requests made.
     pub requested: u32,
-    /// Estimates completed. The parity is the value of the topic `icp_state`.
+    /// Number of estimates completed. Its parity is the value of the topic `icp_state`.
     pub completed: u32,
 }
 
-/// A controller's hold on a segment. All methods may be used from several threads at once.
+/// A controller's access to a segment. All methods may be called from several threads at once.
 #[derive(Debug)]
 pub struct Client {
     mapping: Mapping,
@@ -64,7 +66,7 @@ pub struct Client {
 }
 
 impl Client {
-    /// Opens the segment of a node that runs.
+    /// Opens the segment of a running node.
     pub fn open(name: &str) -> Result<Self, SharedMemoryError> {
         let mapping = name::open(name, OFlags::empty()).and_then(Mapping::new).map_err(|problem| problem.of(name))?;
         let client = Self { mapping, name: name.to_owned() };
@@ -72,20 +74,22 @@ impl Client {
         Ok(client)
     }
 
-    /// Calls for the answer now. A node at work ends its refinement and publishes what it has; an idle one points to its newest
-    /// estimate.
+    /// Requests an answer now. A node that is processing a scan ends the refinement and publishes the estimate it has; the answer
+    /// of an idle node is its newest estimate.
     pub fn request(&self) -> RequestNumber {
         let requested = &self.mapping.controller.requested;
         let number = requested.fetch_add(1, SeqCst).wrapping_add(1);
-        // The node says that it is idle, then looks at the requests; here it is the other way round. In the one order that all
-        // sequentially consistent operations have, either it sees this request, or this sees that it is idle.
+        // The node first sets `idle`, then reads the requests; this side first adds a request, then reads `idle`. All
+        // sequentially consistent operations have one total order, so either the node sees this request, or this side sees that
+        // the node is idle.
         if self.mapping.node.idle.load(SeqCst) != 0 {
             futex::wake_all(requested);
         }
         RequestNumber(number)
     }
 
-    /// Waits for the answer to a request: the newest estimate, completed before the answer was given. `None`: there is none at all.
+    /// Waits for the answer to a request: the newest estimate, completed before the answer was given. `None` if there is no
+    /// estimate yet.
     pub fn wait_for_answer(
         &self,
         number: RequestNumber,
@@ -95,37 +99,37 @@ impl Client {
         self.latest()
     }
 
-    /// Waits until the count of completed estimates is beyond `after`, and returns it. The wrapping difference is the number of edges
-    /// since: none is lost, however late the caller looks.
+    /// Waits until the count of completed estimates is greater than `after`, and returns it. The wrapping difference is the
+    /// number of estimates completed since; none is missed, however late the caller checks.
     pub fn wait_for_completion(&self, after: u32, timeout: Duration) -> Result<u32, SharedMemoryError> {
         self.wait("estimate", &self.mapping.node.completed, after.wrapping_add(1), timeout)
     }
 
-    /// The newest estimate; `None` when there has been none yet.
+    /// The newest estimate; `None` if there is none yet.
     pub fn latest(&self) -> Result<Option<CompletedEstimate>, SharedMemoryError> {
-        for attempt in 0..READS {
+        for attempt in 0..MAX_READS {
             match self.mapping.estimate.read() {
                 Ok(estimate) => return Ok(estimate),
-                Err(_) if attempt < READS_AT_ONCE => hint::spin_loop(),
-                Err(_) => thread::sleep(BETWEEN_READS),
+                Err(_) if attempt < READS_WITHOUT_PAUSE => hint::spin_loop(),
+                Err(_) => thread::sleep(READ_PAUSE),
             }
         }
         Err(self.check_peer().err().unwrap_or(Problem::HalfWritten).of(&self.name))
     }
 
-    /// What has been counted so far.
+    /// The counts so far.
     pub fn counts(&self) -> Counts {
-        // In this order no answer shows without its request.
+        // This order ensures that `acknowledged` is never ahead of `requested`.
         let acknowledged = self.mapping.node.acknowledged.load(Acquire);
         let requested = self.mapping.controller.requested.load(Acquire);
         Counts { acknowledged, requested, completed: self.mapping.node.completed.load(Acquire) }
     }
 
-    /// The count `word` once it has reached `bound`.
+    /// Waits until the count `word` has reached `bound`, and returns it.
     fn wait(&self, awaited: &'static str, word: &AtomicU32, bound: u32, timeout: Duration) -> Result<u32, SharedMemoryError> {
         let start = Instant::now();
         loop {
-            // Looked at after the peer: what it did last still counts.
+            // Read after the check of the peer, so that the last count of a node that has just died is not missed.
             let peer = if start.elapsed() < SPIN { Ok(()) } else { self.check_peer() };
             let value = word.load(Acquire);
             if has_reached(value, bound) {
@@ -161,14 +165,14 @@ impl Client {
         Ok(())
     }
 
-    /// Whether the node still serves the segment: it lives as long as nobody else can have the lock.
+    /// Checks that the node still serves the segment: it is alive as long as no one else can get the lock.
     fn check_peer(&self) -> Result<(), Problem> {
         let identity = &self.mapping.identity;
         let file = self.mapping.file();
         if identity.closed.load(Acquire) != 0 {
             Err(Problem::Closed)
         } else if flock(file, FlockOperation::NonBlockingLockShared).is_ok() {
-            let _ = flock(file, FlockOperation::Unlock); // it goes with the file at the latest
+            let _ = flock(file, FlockOperation::Unlock); // at the latest, closing the file releases it
             Err(Problem::OwnerDied { owner: identity.owner.load(Relaxed) })
         } else {
             Ok(())

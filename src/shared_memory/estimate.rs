@@ -1,4 +1,4 @@
-//! The newest estimate, written by one process and read by others, without locks.
+//! Writes and reads the newest estimate: one process writes, others read, without locks.
 
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use std::sync::atomic::{AtomicU64, fence};
@@ -8,46 +8,46 @@ use super::layout::{Estimate, FLAG_DEADLINE_MET, FLAG_INTERRUPTED, FLAG_OK, FLAG
 use crate::geometry::Pose2;
 use crate::time::Stamp;
 
-/// An estimate as the controller sees it.
+/// An estimate as passed to the controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SharedEstimate {
     /// Stamp of the scan.
     pub stamp: Stamp,
     /// The pose of the base in the odometry frame.
     pub odom_from_base: Pose2,
-    /// Standard deviation of the position, m; infinite if not known.
+    /// Standard deviation of the position, m; infinite if unknown.
     pub position_deviation: f64,
-    /// Standard deviation of the heading, rad; infinite if not known.
+    /// Standard deviation of the heading, rad; infinite if unknown.
     pub heading_deviation: f64,
     /// Time from the scan's arrival to this estimate.
     pub elapsed: Duration,
     /// Whether the scan was matched; if not, the pose is the prediction.
     pub ok: bool,
-    /// Whether the answer came in time.
+    /// Whether the deadline was met.
     pub deadline_met: bool,
-    /// Whether a request cut the refinement short.
+    /// Whether a request ended the refinement early.
     pub interrupted: bool,
 }
 
 /// An estimate that the node has completed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CompletedEstimate {
-    /// The count of completed estimates that this one made; it wraps around. Its parity was the value of the topic `icp_state`.
+    /// Number of completed estimates including this one; it wraps around. Its parity was the value of the topic `icp_state`.
     pub number: u32,
-    /// Its outputs.
+    /// The estimate.
     pub estimate: SharedEstimate,
 }
 
-/// The estimate is being written.
+/// The estimate is being written, so that it cannot be read now.
 #[derive(Debug)]
 pub(super) struct BeingWritten;
 
 impl Estimate {
-    /// Writes an estimate. For one writer at a time.
+    /// Writes an estimate. There must be only one writer at a time.
     pub(super) fn write(&self, number: u32, estimate: &SharedEstimate) {
         let sequence = self.sequence.load(Relaxed);
         self.sequence.store(sequence.wrapping_add(1), Relaxed);
-        // A reader that sees any of the stores below sees the odd sequence after its own fence.
+        // A reader that sees any of the stores below also sees the odd sequence after its own fence.
         fence(Release);
         let flag = |set: bool, flag: u32| if set { flag } else { 0 };
         let flags = FLAG_PRESENT
@@ -69,7 +69,7 @@ impl Estimate {
         self.sequence.store(sequence.wrapping_add(2), Release);
     }
 
-    /// Reads the newest estimate; `None` when there has been none yet.
+    /// Reads the newest estimate; `None` if there is none yet.
     pub(super) fn read(&self) -> Result<Option<CompletedEstimate>, BeingWritten> {
         let before = self.sequence.load(Acquire);
         let flags = self.flags.load(Relaxed);
@@ -86,7 +86,7 @@ impl Estimate {
             deadline_met: flags & FLAG_DEADLINE_MET != 0,
             interrupted: flags & FLAG_INTERRUPTED != 0,
         };
-        // If any load above saw a store of a later writing, the load below sees that writing's odd sequence or a later one.
+        // If any load above saw a store of a later write, the load below sees the odd sequence of that write or a later one.
         fence(Acquire);
         let after = self.sequence.load(Relaxed);
         if before != after || before % 2 == 1 {
@@ -102,7 +102,7 @@ mod tests {
 
     use super::*;
 
-    /// Every field follows from the number.
+    /// An estimate all of whose fields are computed from the number.
     fn numbered(number: u32) -> SharedEstimate {
         let value = f64::from(number);
         SharedEstimate {
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_read_is_one_estimate_and_never_an_older_one_than_before() {
+    fn a_read_estimate_is_consistent_and_never_older_than_the_one_before() {
         const ESTIMATES: u32 = 2_000_000;
         let shared = Estimate::default();
         assert_eq!(shared.read().unwrap(), None);

@@ -1,7 +1,7 @@
-//! What lies where in the segment: the Rust twin of `include/anytime_scan_matcher/shared_memory.h`.
+//! Layout of the segment: must match `include/anytime_scan_matcher/shared_memory.h`.
 //!
-//! Every field is an atomic, in the byte order of the machine. Who writes what has its own cache lines, 128 bytes apart: processors
-//! fetch lines of 64 bytes in pairs, and some have lines of 128.
+//! Every field is an atomic, in the byte order of the machine. The fields of each writer have their own cache lines, 128 bytes
+//! apart: processors fetch lines of 64 bytes in pairs, and some have lines of 128 bytes.
 
 use std::mem::offset_of;
 use std::sync::atomic::{AtomicU32, AtomicU64};
@@ -9,103 +9,104 @@ use std::sync::atomic::{AtomicU32, AtomicU64};
 /// First bytes of a segment of this project: "ANYTSCAN" read as a little-endian number.
 pub const MAGIC: u64 = u64::from_le_bytes(*b"ANYTSCAN");
 
-/// Number of this layout and its protocol; another number is another contract.
+/// Version of this layout and its protocol; other versions are incompatible.
 pub const VERSION: u32 = 1;
 
 /// Size of the segment, bytes.
 pub const SIZE: u32 = 512;
 
-/// The whole segment. Counts begin at 0 and wrap around: compare them by their wrapping difference.
+/// The whole segment. Counts begin at 0 and wrap around; compare them by their wrapping difference.
 #[derive(Debug)]
 #[repr(C)]
 pub struct Segment {
-    /// Whose segment this is, and of which form.
+    /// Format and owner of the segment.
     pub identity: Identity,
-    /// What controllers write.
+    /// Fields that controllers write.
     pub controller: Controller,
-    /// What the node writes.
+    /// Fields that the node writes.
     pub node: Node,
     /// The newest estimate.
     pub estimate: Estimate,
 }
 
-/// Whose segment this is, and of which form.
+/// Format and owner of the segment.
 ///
-/// That the owner lives is not told by its number, which may be another process's by now: the owner holds an exclusive `flock` on
-/// the segment, which the kernel lets go of at the owner's death, whatever way it dies.
+/// The process id does not show whether the owner is alive, because the system may have reused it. Instead, the owner holds an
+/// exclusive `flock` on the segment, which the kernel releases when the owner dies in whatever way.
 #[derive(Debug)]
 #[repr(C, align(128))]
 pub struct Identity {
-    /// [`MAGIC`], stored last: a segment that has it is complete.
+    /// [`MAGIC`], stored last: a segment with this value is completely initialized.
     pub magic: AtomicU64,
     /// [`VERSION`].
     pub version: AtomicU32,
     /// [`SIZE`].
     pub size: AtomicU32,
-    /// Process id of the owner, for messages only.
+    /// Process id of the owner, only for messages.
     pub owner: AtomicU32,
-    /// 1 once the owner has closed the segment: nothing more will come.
+    /// 1 once the owner has closed the segment: there will be no more answers.
     pub closed: AtomicU32,
 }
 
-/// What controllers write.
+/// Fields that controllers write.
 #[derive(Debug)]
 #[repr(C, align(128))]
 pub struct Controller {
-    /// Requests ever made. Adding one makes a request, whose number is the sum. A futex.
+    /// Number of requests made. Adding one makes a request; the sum is its number. A futex.
     pub requested: AtomicU32,
 }
 
-/// What the node writes.
+/// Fields that the node writes.
 #[derive(Debug)]
 #[repr(C, align(128))]
 pub struct Node {
-    /// Number of the last request answered, and with it of all before. A futex.
+    /// Number of the last answered request; all earlier ones are answered, too. A futex.
     pub acknowledged: AtomicU32,
-    /// Estimates completed. Its parity is the value of the topic `icp_state`. A futex.
+    /// Number of estimates completed. Its parity is the value of the topic `icp_state`. A futex.
     pub completed: AtomicU32,
-    /// 1 while the node is idle: a request must wake the futex `requested`, on which it sleeps. At work it looks by itself, and a
-    /// system call would only take processor time from it.
+    /// 1 while the node is idle: a request must then wake the futex `requested`, on which the node sleeps. While it processes a
+    /// scan, the node polls `requested` itself, and a system call would only cost it processor time.
     pub idle: AtomicU32,
 }
 
-/// The newest estimate, behind a sequence lock: consistent if `sequence` is even, and the same before and after reading.
+/// The newest estimate, protected by a sequence lock: it is consistent if `sequence` is even, and the same before and after
+/// reading.
 #[derive(Debug, Default)]
 #[repr(C, align(128))]
 pub struct Estimate {
     /// Odd while the node writes.
     pub sequence: AtomicU32,
-    /// Sum of the `FLAG_*`.
+    /// Bitwise or of the `FLAG_*` constants.
     pub flags: AtomicU32,
-    /// The count of completed estimates that this one made.
+    /// Number of completed estimates including this one.
     pub number: AtomicU32,
-    /// Stamp of the scan, whole seconds.
+    /// Stamp of the scan: whole seconds.
     pub stamp_seconds: AtomicU32,
-    /// Stamp of the scan, the nanoseconds beyond them.
+    /// Stamp of the scan: remaining nanoseconds.
     pub stamp_nanoseconds: AtomicU32,
-    /// Zero.
+    /// Always zero.
     pub reserved: AtomicU32,
-    /// Position, m: the bits of an `f64`, as all that follow but the last.
+    /// x of the position, m: the bits of an `f64`.
     pub x: AtomicU64,
-    /// Position, m.
+    /// y of the position, m: the bits of an `f64`.
     pub y: AtomicU64,
-    /// Heading, rad.
+    /// Heading, rad: the bits of an `f64`.
     pub theta: AtomicU64,
-    /// Standard deviation of the position, m.
+    /// Standard deviation of the position, m: the bits of an `f64`.
     pub position_deviation: AtomicU64,
-    /// Standard deviation of the heading, rad.
+    /// Standard deviation of the heading, rad: the bits of an `f64`.
     pub heading_deviation: AtomicU64,
     /// Time from the scan's arrival to the estimate, ns: an integer.
     pub elapsed_nanoseconds: AtomicU64,
 }
 
-/// There is an estimate: without it the other fields mean nothing.
+/// There is an estimate. Without this flag, the other fields are meaningless.
 pub const FLAG_PRESENT: u32 = 1;
-/// The scan was matched; without it the pose is the prediction.
+/// The scan was matched. Without this flag, the pose is the prediction.
 pub const FLAG_OK: u32 = 2;
-/// The answer came in time.
+/// The deadline was met.
 pub const FLAG_DEADLINE_MET: u32 = 4;
-/// A request cut the refinement short.
+/// A request ended the refinement early.
 pub const FLAG_INTERRUPTED: u32 = 8;
 
 const _: () = {

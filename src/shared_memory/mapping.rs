@@ -1,4 +1,4 @@
-//! A segment in this process's memory: the only unsafe code of the project.
+//! Maps a segment into the memory of this process: the only unsafe code of the project.
 #![allow(unsafe_code)]
 
 use std::ops::Deref;
@@ -11,7 +11,7 @@ use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 use super::error::Problem;
 use super::layout::{SIZE, Segment};
 
-/// A mapped segment, and the file it is.
+/// A mapped segment, and its file.
 #[derive(Debug)]
 pub(super) struct Mapping {
     segment: NonNull<Segment>,
@@ -19,19 +19,19 @@ pub(super) struct Mapping {
 }
 
 impl Mapping {
-    /// Maps `file`, which must be as long as a segment: touching memory beyond a file's end kills the process.
+    /// Maps `file`. Its size must be that of a segment, because an access beyond the end of the file would kill the process.
     pub(super) fn new(file: OwnedFd) -> Result<Self, Problem> {
-        let refused = |errno| Problem::system("map the segment", errno);
-        let found = rustix::fs::fstat(&file).map_err(refused)?.st_size;
+        let system_error = |errno| Problem::system("map the segment", errno);
+        let found = rustix::fs::fstat(&file).map_err(system_error)?.st_size;
         if i64::from(SIZE) != found {
             return Err(Problem::WrongSize { found, expected: SIZE });
         }
-        // SAFETY: the kernel chooses an address that nothing else uses.
+        // SAFETY: the kernel chooses an unused address.
         let start = unsafe {
             mmap(ptr::null_mut(), size_of::<Segment>(), ProtFlags::READ | ProtFlags::WRITE, MapFlags::SHARED, &file, 0)
         }
-        .map_err(refused)?;
-        let segment = NonNull::new(start.cast()).ok_or(refused(Errno::NOMEM))?;
+        .map_err(system_error)?;
+        let segment = NonNull::new(start.cast()).ok_or(system_error(Errno::NOMEM))?;
         Ok(Self { segment, file })
     }
 
@@ -45,8 +45,9 @@ impl Deref for Mapping {
     type Target = Segment;
 
     fn deref(&self) -> &Segment {
-        // SAFETY: the mapping is as long as a segment, aligned to a page, and lives as long as `self`. Any bytes are a valid segment:
-        // it consists of atomic integers and padding. Other processes change it through atomics only, as the protocol says.
+        // SAFETY: the mapping is as long as a segment, aligned to a page, and lives as long as `self`. Any bytes are a valid
+        // segment, as it consists of atomic integers and padding. According to the protocol, other processes change it only
+        // through atomics.
         unsafe { self.segment.as_ref() }
     }
 }
@@ -54,12 +55,12 @@ impl Deref for Mapping {
 impl Drop for Mapping {
     fn drop(&mut self) {
         // SAFETY: this is the mapping made in `new`, and no reference to it outlives `self`.
-        // It cannot fail for a mapping that exists; if it did, the pages would stay until the process ends.
+        // It cannot fail for an existing mapping; if it did, the pages would stay mapped until the process ends.
         let _ = unsafe { munmap(self.segment.as_ptr().cast(), size_of::<Segment>()) };
     }
 }
 
-// SAFETY: the pointer is owned, its target does not depend on the thread.
+// SAFETY: the pointer is owned, and its target does not depend on the thread.
 unsafe impl Send for Mapping {}
-// SAFETY: a shared reference gives access to atomics only.
+// SAFETY: a shared reference only gives access to atomics.
 unsafe impl Sync for Mapping {}

@@ -1,7 +1,8 @@
-//! Shared memory between the node and a controller on the same machine: call for the answer now, and learn of each estimate.
+//! Shared memory between the node and a controller on the same machine. The controller can request an answer now, and wait for
+//! each estimate.
 //!
-//! The node has a [`Responder`], the controller a [`Client`], or the functions of the header
-//! `include/anytime_scan_matcher/shared_memory.h`; what lies where is in [`layout`].
+//! The node has a [`Responder`]; the controller uses a [`Client`], or the functions of the header
+//! `include/anytime_scan_matcher/shared_memory.h`. The layout of the segment is in [`layout`].
 //!
 //! ```
 //! use std::time::Duration;
@@ -13,13 +14,13 @@
 //! let responder = Responder::create(name)?;
 //! let client = Client::open(name)?;
 //!
-//! // Nothing is being worked on: the answer is the newest estimate, and there is none yet.
+//! // The node is idle: the answer is the newest estimate, but there is none yet.
 //! let request = client.request();
 //! assert_eq!(client.wait_for_answer(request, Duration::from_secs(1))?, None);
 //!
-//! responder.begin(); // a scan is taken up
+//! responder.begin(); // the node begins to process a scan
 //! let request = client.request();
-//! assert!(responder.is_requested()); // what the refinement asks after each iteration
+//! assert!(responder.is_requested()); // checked by the refinement after each iteration
 //! let odom_from_base = Pose2::new(1.0, 2.0, 0.5);
 //! responder.publish(&SharedEstimate { odom_from_base, ok: true, interrupted: true, ..SharedEstimate::default() });
 //!
@@ -31,25 +32,26 @@
 //!
 //! # The protocol
 //!
-//! All words are counts, none is ever set back: an edge is the difference of two counts, so that none is lost by looking late, and
-//! none seen twice. Every side stores to its own words only.
+//! All requests, answers and estimates are counted, and no count is ever reset. Events are detected as the difference of two
+//! counts, so that none is missed by checking late, and none is seen twice. Each side only writes its own words.
 //!
 //! | who | does | memory order |
 //! |---|---|---|
 //! | controller | adds 1 to `requested`: the sum is the request's number; wakes `requested` if `idle` is set | sequentially consistent |
-//! | node, between iterations | looks whether `requested` is beyond `acknowledged` | acquire |
+//! | node, between iterations | checks whether `requested` is ahead of `acknowledged` | acquire |
 //! | node, with an estimate | writes it (sequence lock), adds 1 to `completed` | release |
-//! | node, at work or idle from now on | stores `idle`, then loads `requested` | sequentially consistent |
+//! | node, when it becomes busy or idle | stores `idle`, then loads `requested` | sequentially consistent |
 //! | ... | stores that as `acknowledged`, wakes `acknowledged`, and `completed` after an estimate | release |
 //! | node, woken while idle | stores `requested` as `acknowledged`, wakes it | release |
 //! | controller | waits for `acknowledged` to reach its number, then reads the newest estimate | acquire |
-//! | controller | waits for `completed` to change, counts the edges by the difference | acquire |
+//! | controller | waits for `completed` to change, counts the new estimates by the difference | acquire |
 //!
-//! A waiter looks at memory for [`SPIN`], then sleeps on the word's futex. The node's death ends a wait after [`PEER_CHECK`] at the
-//! latest; its life is an exclusive `flock` on the segment, which the kernel releases whatever way a process dies, and which, unlike
-//! a process id, nobody else can come to hold by chance. A controller may die at any moment: its request is answered to nobody.
+//! A waiter polls the memory for [`SPIN`], then sleeps on the word's futex. If the node dies, the wait ends after at most
+//! [`PEER_CHECK`]: a living node holds an exclusive `flock` on the segment, which the kernel releases however the process dies.
+//! Unlike a process id, no other process can come to hold the lock by accident. A controller may die at any moment; the answer to
+//! its request is then ignored.
 //!
-//! Whoever may open the segment can break it: it is made for the node's own user only.
+//! Every process that can open the segment could corrupt it, so only the node's own user can open it.
 
 mod client;
 mod error;
@@ -66,5 +68,5 @@ pub use error::{Problem, SharedMemoryError};
 pub use estimate::{CompletedEstimate, SharedEstimate};
 pub use responder::Responder;
 
-/// Name of the segment unless another one is given.
+/// Default name of the segment.
 pub const DEFAULT_NAME: &str = "/anytime_scan_matcher";

@@ -1,4 +1,4 @@
-//! Names of segments, and the files they stand for.
+//! Checks names of segments, and opens the segments' files.
 
 use std::os::fd::OwnedFd;
 
@@ -7,12 +7,13 @@ use rustix::shm::OFlags;
 
 use super::error::Problem;
 
-/// Opens the segment `name`, with `more` flags than reading and writing. Only the same user may open one that this creates.
-pub(super) fn open(name: &str, more: OFlags) -> Result<OwnedFd, Problem> {
+/// Opens the segment `name` for reading and writing, with additional `flags`. If this creates the file, only the same user may
+/// open it.
+pub(super) fn open(name: &str, flags: OFlags) -> Result<OwnedFd, Problem> {
     let bare = name.strip_prefix('/').unwrap_or(name);
     if bare.is_empty() || bare.len() > 254 || bare.contains(['/', '\0']) || bare.starts_with('.') {
         return Err(Problem::BadName);
     }
-    rustix::shm::open(name, OFlags::RDWR | more, Mode::RUSR | Mode::WUSR)
+    rustix::shm::open(name, OFlags::RDWR | flags, Mode::RUSR | Mode::WUSR)
         .map_err(|errno| Problem::system("open the segment", errno))
 }

@@ -1,4 +1,4 @@
-//! What the node uses: knows whether a scan is being worked on, and so how a request is to be answered.
+//! The node's interface to the segment. It knows whether a scan is being processed, which decides how requests are answered.
 
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::{Acquire, Release};
@@ -10,14 +10,15 @@ use super::error::{Problem, SharedMemoryError};
 use super::estimate::SharedEstimate;
 use super::server::Server;
 
-/// The watcher need not wake up without a request: whoever ends it wakes it.
-const WATCH: Duration = Duration::from_secs(3600);
-/// Between attempts to wake the watcher at the end.
-const BETWEEN_WAKES: Duration = Duration::from_micros(100);
+/// Timeout of the watcher's sleep. It can be long, because both requests and the shutdown wake the watcher.
+const WATCH_TIMEOUT: Duration = Duration::from_secs(3600);
+/// Period of the attempts to wake the watcher at shutdown.
+const WAKE_PERIOD: Duration = Duration::from_micros(100);
 
-/// Answers requests: those made while a scan is being worked on with that scan's estimate, others at once with the newest there is.
+/// Answers requests. A request made while a scan is being processed is answered with the estimate of that scan, any other
+/// immediately with the newest estimate.
 ///
-/// Dropping it closes the segment: all who wait learn of it, and its name is free again.
+/// Dropping it closes the segment: all waits end, and the name can be used again.
 #[derive(Debug)]
 pub struct Responder {
     shared: Arc<Shared>,
@@ -31,8 +32,8 @@ struct Shared {
     closing: AtomicBool,
 }
 
-/// What the node is doing. Every answer is given with this locked, so that a request is either made before a scan is taken up, or
-/// before its estimate is published, or after: there is nothing in between for it to fall into.
+/// What the node is doing. Every answer is given with this locked. Thus each request is made either before the processing of a
+/// scan begins, or before its estimate is published, or after that; there is no gap in which a request could be lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Activity {
     Idle,
@@ -40,8 +41,8 @@ enum Activity {
 }
 
 impl Responder {
-    /// Creates the segment `name` for controllers of the same user, and serves it. A stale segment of that name gives way to the new
-    /// one; one whose owner lives is an error.
+    /// Creates the segment `name` for controllers of the same user, and serves it. A stale segment of that name is replaced. It
+    /// is an error if the owner of an existing segment is alive.
     pub fn create(name: &str) -> Result<Self, SharedMemoryError> {
         let shared = Arc::new(Shared {
             server: Server::create(name)?,
@@ -61,18 +62,20 @@ impl Responder {
         self.shared.server.name()
     }
 
-    /// A scan is taken up: requests from now on call for its estimate. Those made before are answered with the newest one there is.
+    /// The processing of a scan begins: requests from now on wait for its estimate. Earlier ones are answered with the newest
+    /// estimate.
     pub fn begin(&self) {
         self.shared.answer(|activity| *activity = Activity::Working);
     }
 
-    /// Whether a request waits for the estimate of the scan being worked on. For the refinement loop: two loads, no system call.
+    /// Whether a request waits for the estimate of the scan being processed. Cheap enough for the refinement loop: two loads, no
+    /// system call.
     pub fn is_requested(&self) -> bool {
         self.shared.server.requested() != self.shared.server.acknowledged()
     }
 
-    /// An estimate is complete: readable from now on, counted once, and the answer to every request made before. Returns its number,
-    /// whose parity is the value of the topic `icp_state`.
+    /// Publishes a completed estimate, which is the answer to every request made before. Returns its number, whose parity is the
+    /// value of the topic `icp_state`.
     pub fn publish(&self, estimate: &SharedEstimate) -> u32 {
         let number = self.shared.answer(|activity| {
             *activity = Activity::Idle;
@@ -82,7 +85,7 @@ impl Responder {
         number
     }
 
-    /// The scan taken up is put down without an estimate: requests made for it are answered with the newest one there is.
+    /// The processing of a scan ends without an estimate: requests made meanwhile are answered with the newest earlier estimate.
     pub fn abandon(&self) {
         self.shared.answer(|activity| *activity = Activity::Idle);
     }
@@ -92,17 +95,17 @@ impl Drop for Responder {
     fn drop(&mut self) {
         self.shared.closing.store(true, Release);
         let Some(watcher) = self.watcher.take() else { return };
-        // Once is not enough: it may be on its way to sleep, having looked already.
+        // One wake-up may not be enough: the watcher may have checked `closing` already, but not sleep yet.
         while !watcher.is_finished() {
             self.shared.server.interrupt_wait();
-            thread::sleep(BETWEEN_WAKES);
+            thread::sleep(WAKE_PERIOD);
         }
-        let _ = watcher.join(); // it does not panic; if it had, the segment were to be closed all the same
+        let _ = watcher.join(); // it does not panic; if it had, the segment would have to be closed anyway
     }
 }
 
 impl Shared {
-    /// Changes what the node is doing, and answers all requests made before.
+    /// Changes the activity of the node, and answers all requests made before.
     fn answer<T>(&self, change: impl FnOnce(&mut Activity) -> T) -> T {
         let mut activity = self.lock();
         let result = change(&mut activity);
@@ -119,8 +122,8 @@ impl Shared {
     fn watch(&self) {
         let mut seen = 0;
         while !self.closing.load(Acquire) {
-            self.server.await_request(seen, WATCH);
-            // Looked at before the lock is taken: a request that comes later changes the word, and the next wait does not begin.
+            self.server.wait_for_request(seen, WATCH_TIMEOUT);
+            // Read before the lock is taken: a request made after this changes the word, so that the next wait returns at once.
             seen = self.server.requested();
             let activity = self.lock();
             let answered = *activity == Activity::Idle && self.server.acknowledge();
@@ -131,7 +134,7 @@ impl Shared {
         }
     }
 
-    /// The activity is whole at every moment, even if a thread should have died with the lock in its hand.
+    /// Locks the activity. It is valid at every moment, even if a thread has panicked while holding the lock.
     fn lock(&self) -> MutexGuard<'_, Activity> {
         self.activity.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -149,7 +152,7 @@ mod tests {
         let name = format!("/anytime_scan_matcher_wrap_{}", std::process::id());
         let responder = Responder::create(&name).unwrap();
         let segment = responder.shared.server.segment();
-        responder.begin(); // the watcher stays out of it
+        responder.begin(); // so that the watcher does not answer
         let start = u32::MAX - 5;
         segment.controller.requested.store(start, Relaxed);
         segment.node.acknowledged.store(start, Relaxed);
@@ -172,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn an_abandoned_scan_leaves_no_request_behind() {
+    fn requests_for_an_abandoned_scan_are_answered() {
         let name = format!("/anytime_scan_matcher_abandon_{}", std::process::id());
         let responder = Responder::create(&name).unwrap();
         let client = Client::open(&name).unwrap();

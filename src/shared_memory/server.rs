@@ -1,4 +1,4 @@
-//! The node's side of the segment: who owns it, and what it writes.
+//! The node's side of the segment: acquires the ownership, and writes the node's fields.
 
 use std::os::fd::{AsFd, OwnedFd};
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release, SeqCst};
@@ -16,12 +16,13 @@ use super::layout::{MAGIC, SIZE, VERSION};
 use super::mapping::Mapping;
 use super::name;
 
-/// Attempts to become the owner. A controller that looks whether the owner lives holds the lock for a moment, and another node may
-/// be taking over the same stale segment.
-const ATTEMPTS: u32 = 20;
-const BETWEEN_ATTEMPTS: Duration = Duration::from_millis(5);
+/// Maximum number of attempts to become the owner. An attempt can fail because a controller that checks whether the owner is
+/// alive holds the lock for a moment, or because another node replaces the same stale segment.
+const MAX_ATTEMPTS: u32 = 20;
+/// Pause after a failed attempt.
+const ATTEMPT_PAUSE: Duration = Duration::from_millis(5);
 
-/// The owner of a segment. Its methods are for one thread at a time: they only load and store.
+/// The owner of a segment. Only one thread at a time may call its methods, because they only load and store.
 #[derive(Debug)]
 pub(super) struct Server {
     mapping: Mapping,
@@ -29,9 +30,9 @@ pub(super) struct Server {
 }
 
 impl Server {
-    /// Creates the segment; takes the place of one whose owner is gone, whatever its form.
+    /// Creates the segment. Replaces an existing one whose owner has died, whatever its content.
     pub(super) fn create(name: &str) -> Result<Self, SharedMemoryError> {
-        let file = own(name).map_err(|problem| problem.of(name))?;
+        let file = acquire_file(name).map_err(|problem| problem.of(name))?;
         let mapping = new_segment(file).map_err(|problem| problem.of(name))?;
         Ok(Self { mapping, name: name.to_owned() })
     }
@@ -41,24 +42,24 @@ impl Server {
         &self.name
     }
 
-    /// Requests ever made.
+    /// Number of requests made.
     pub(super) fn requested(&self) -> u32 {
         self.mapping.controller.requested.load(Acquire)
     }
 
-    /// Number of the last request answered.
+    /// Number of the last answered request.
     pub(super) fn acknowledged(&self) -> u32 {
         self.mapping.node.acknowledged.load(Relaxed)
     }
 
-    /// Whether requests must wake [`Self::await_request`].
+    /// Sets whether requests must wake [`Self::wait_for_request`].
     pub(super) fn set_idle(&self, idle: bool) {
         self.mapping.node.idle.store(idle.into(), SeqCst);
     }
 
-    /// Answers every request made so far with the newest estimate; whether there was any to answer.
+    /// Answers every request made so far with the newest estimate. Returns whether there was one.
     pub(super) fn acknowledge(&self) -> bool {
-        // After `set_idle`, in the order that the controller's side relies on.
+        // Must come after `set_idle`: the controller's side relies on this order.
         let requested = self.mapping.controller.requested.load(SeqCst);
         let unanswered = requested != self.acknowledged();
         if unanswered {
@@ -67,7 +68,7 @@ impl Server {
         unanswered
     }
 
-    /// Writes the newest estimate and counts it; its number.
+    /// Writes the newest estimate and counts it. Returns its number.
     pub(super) fn complete(&self, estimate: &SharedEstimate) -> u32 {
         let number = self.mapping.node.completed.load(Relaxed).wrapping_add(1);
         self.mapping.estimate.write(number, estimate);
@@ -75,22 +76,22 @@ impl Server {
         number
     }
 
-    /// Wakes those who wait for an answer.
+    /// Wakes all controllers that wait for an answer.
     pub(super) fn announce_answer(&self) {
         futex::wake_all(&self.mapping.node.acknowledged);
     }
 
-    /// Wakes those who wait for an estimate.
+    /// Wakes all controllers that wait for an estimate.
     pub(super) fn announce_completion(&self) {
         futex::wake_all(&self.mapping.node.completed);
     }
 
-    /// Sleeps until a request is made beyond those `seen`, and the node is idle. May return early.
-    pub(super) fn await_request(&self, seen: u32, longest: Duration) {
-        futex::sleep(&self.mapping.controller.requested, seen, longest);
+    /// Sleeps until a request after the first `seen` ones is made while the node is idle. May return early.
+    pub(super) fn wait_for_request(&self, seen: u32, timeout: Duration) {
+        futex::sleep(&self.mapping.controller.requested, seen, timeout);
     }
 
-    /// Ends [`Self::await_request`] of a thread that sleeps in it now.
+    /// Wakes a thread that sleeps in [`Self::wait_for_request`] now.
     pub(super) fn interrupt_wait(&self) {
         futex::wake_all(&self.mapping.controller.requested);
     }
@@ -106,22 +107,22 @@ impl Drop for Server {
         self.mapping.identity.closed.store(1, Release);
         self.announce_answer();
         self.announce_completion();
-        // Unless somebody has removed it: then the name may be another's by now.
+        // If someone has removed the file, the name may belong to another segment by now.
         if is_linked(self.mapping.file()) {
-            let _ = rustix::shm::unlink(&self.name); // what is left behind is stale, and taken over by the next
+            let _ = rustix::shm::unlink(&self.name); // if it fails, the next node replaces the stale segment
         }
     }
 }
 
-/// An empty file of that name, locked by this process.
+/// Creates an empty file of that name, locked by this process.
 ///
-/// Only who holds the lock on the file that has the name removes it. So whoever gets the lock, and finds the file still linked, is
-/// alone: a stale one is removed, an empty one is a new one.
-fn own(name: &str) -> Result<OwnedFd, Problem> {
-    for _ in 0..ATTEMPTS {
+/// A file may be removed only by the process that holds its lock. So a process that gets the lock of a file that is still linked
+/// is its only owner. If the file is empty it is new; otherwise it is stale and is removed.
+fn acquire_file(name: &str) -> Result<OwnedFd, Problem> {
+    for _ in 0..MAX_ATTEMPTS {
         let file = name::open(name, OFlags::CREATE)?;
         match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-            Err(Errno::WOULDBLOCK) => thread::sleep(BETWEEN_ATTEMPTS),
+            Err(Errno::WOULDBLOCK) => thread::sleep(ATTEMPT_PAUSE),
             Err(errno) => return Err(Problem::system("lock the segment", errno)),
             Ok(()) if !is_linked(&file) => {}
             Ok(()) if is_new(&file) => return Ok(file),
@@ -130,23 +131,23 @@ fn own(name: &str) -> Result<OwnedFd, Problem> {
     }
     let owner =
         name::open(name, OFlags::empty()).and_then(Mapping::new).map_or(0, |mapping| mapping.identity.owner.load(Relaxed));
-    Err(Problem::Owned { owner })
+    Err(Problem::InUse { owner })
 }
 
 fn is_linked(file: impl AsFd) -> bool {
     fstat(file).is_ok_and(|status| status.st_nlink > 0)
 }
 
-/// Whether the file is empty, and this user's: another's might be shortened under our feet.
+/// Whether the file is empty and belongs to this user. Another user could truncate a file of theirs while it is mapped.
 fn is_new(file: impl AsFd) -> bool {
     fstat(file).is_ok_and(|status| status.st_size == 0 && status.st_uid == rustix::process::geteuid().as_raw())
 }
 
-/// Makes a segment of an empty file, of a node that is idle.
+/// Initializes a segment in an empty file; the node is idle.
 fn new_segment(file: OwnedFd) -> Result<Mapping, Problem> {
-    let refused = |errno| Problem::system("set up the segment", errno);
-    fchmod(&file, Mode::RUSR | Mode::WUSR).map_err(refused)?; // a stale empty file may be open to others
-    ftruncate(&file, SIZE.into()).map_err(refused)?;
+    let system_error = |errno| Problem::system("set up the segment", errno);
+    fchmod(&file, Mode::RUSR | Mode::WUSR).map_err(system_error)?; // a stale empty file may be open to others
+    ftruncate(&file, SIZE.into()).map_err(system_error)?;
     let mapping = Mapping::new(file)?;
     mapping.node.idle.store(1, Relaxed);
     let identity = &mapping.identity;

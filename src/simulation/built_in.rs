@@ -1,4 +1,4 @@
-//! Worlds that need no map: drawn by hand, with a route given.
+//! Built-in worlds that need no map file, with a predefined route.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -8,9 +8,9 @@ use crate::geometry::{Point, Pose2};
 use super::shapes::Shapes;
 
 choices! {
-    /// The worlds that need no map.
+    /// The built-in worlds.
     pub enum BuiltIn {
-        /// A corridor 3 m wide that runs round a block of rooms: a lap of about 65 m.
+        /// A closed corridor 3 m wide around a block of rooms; a lap is about 65 m.
         Corridor = "corridor",
         /// A furnished room of 10 m by 8 m.
         Room = "room",
@@ -18,8 +18,8 @@ choices! {
 }
 
 impl BuiltIn {
-    /// The walls, and corners of the route between them.
-    pub fn draw(self) -> (Shapes, Vec<Point>) {
+    /// The walls, and the corners of the route between them.
+    pub fn build(self) -> (Shapes, Vec<Point>) {
         match self {
             Self::Corridor => (corridor(), points(&CORRIDOR_ROUTE)),
             Self::Room => (room(), points(&ROOM_ROUTE)),
@@ -37,15 +37,15 @@ fn pillars(shapes: Shapes, radius: f64, centres: &Corners) -> Shapes {
     points(centres).into_iter().fold(shapes, |shapes, centre| shapes.pillar(centre, radius))
 }
 
-/// Rectangles of the given length and width; `(x, y, yaw)` is where each one stands.
-fn blocks(shapes: Shapes, length: f64, width: f64, places: &[(f64, f64, f64)]) -> Shapes {
-    places.iter().fold(shapes, |shapes, &(x, y, yaw)| shapes.block(&Pose2::new(x, y, yaw).transform(), length, width))
+/// Adds rectangles of the given length and width at the poses `(x, y, yaw)`.
+fn blocks(shapes: Shapes, length: f64, width: f64, poses: &[(f64, f64, f64)]) -> Shapes {
+    poses.iter().fold(shapes, |shapes, &(x, y, yaw)| shapes.block(&Pose2::new(x, y, yaw).transform(), length, width))
 }
 
 const CORRIDOR_ROUTE: [(f64, f64); 8] =
     [(0.0, -6.1), (6.0, -5.9), (11.5, -6.0), (11.3, 0.0), (11.5, 6.0), (0.0, 6.1), (-11.5, 6.0), (-11.5, -6.0)];
 
-#[rustfmt::skip] // a feature on each line
+#[rustfmt::skip] // one feature per line
 const CORRIDOR_OUTSIDE: &Corners = &[
     (-13.0, -7.5),
     (-8.6, -7.5), (-8.6, -7.8), (-7.6, -7.8), (-7.6, -7.5), // a recessed door
@@ -76,7 +76,7 @@ fn corridor() -> Shapes {
     let walls = walls.walls(&points(&[(3.4, -7.55), (4.05, -7.2)])); // a door ajar
     let pilasters = [(-5.0, -7.4), (0.5, -7.4), (7.5, -7.4), (-7.5, 7.4), (-3.5, 7.4), (0.5, 7.4), (9.5, 7.4)];
     let walls = blocks(walls, 0.5, 0.2, &pilasters.map(|(x, y)| (x, y, 0.0)));
-    let walls = blocks(walls, 1.0, 0.7, &[(-12.6, -4.2, FRAC_PI_2), (15.6, 0.3, 0.4)]); // drinks, and a crate
+    let walls = blocks(walls, 1.0, 0.7, &[(-12.6, -4.2, FRAC_PI_2), (15.6, 0.3, 0.4)]); // a vending machine, and a crate
     pillars(walls, 0.18, &[(-5.5, -4.85), (2.0, -4.85), (12.6, 2.6), (10.4, -2.4), (-12.6, 3.6), (-1.6, 4.1), (2.6, 4.1)])
 }
 

@@ -1,14 +1,14 @@
-//! A car in a world that goes where it is told to, moment by moment.
+//! A simulated car that executes commands step by step in a world.
 
 use crate::geometry::{Pose2, Twist2};
 
 use super::vehicle::{Command, Vehicle, VehicleKnobs};
 use super::world::World;
 
-/// The car stops where a wall is this near to the middle of its rear axle, m.
-const GIRTH: f64 = 0.2;
+/// Collision radius around the middle of the rear axle, m.
+const COLLISION_RADIUS: f64 = 0.2;
 
-/// A car, and where it is.
+/// A car and its pose in a world.
 pub struct Car<'a> {
     world: &'a dyn World,
     knobs: &'a VehicleKnobs,
@@ -24,28 +24,28 @@ impl<'a> Car<'a> {
         Self { world, knobs, vehicle: Vehicle::new(knobs), map_from_base, twist: Twist2::default(), hits: 0 }
     }
 
-    /// Where `base_link` is.
+    /// Pose of `base_link`.
     pub fn map_from_base(&self) -> Pose2 {
         self.map_from_base
     }
 
-    /// How it moves, in its own frame.
+    /// Velocity in the frame of the car.
     pub fn twist(&self) -> Twist2 {
         self.twist
     }
 
-    /// How often a wall has stopped it.
+    /// Number of collisions with walls.
     pub fn hits(&self) -> u32 {
         self.hits
     }
 
-    /// Carries out a command for `seconds`, as far as the car can; walls stop it.
+    /// Executes a command for `seconds` within the limits of the car; walls stop it.
     pub fn step(&mut self, command: Command, seconds: f64) {
         let speed = command.speed.clamp(-self.knobs.speed, self.knobs.speed);
         self.twist = self.vehicle.step(Command { speed, ..command }, seconds);
         let next = self.map_from_base * self.twist.motion(seconds);
-        let room = |pose: &Pose2| self.world.clearance(pose.translation());
-        if room(&next) < GIRTH.min(room(&self.map_from_base)) {
+        let clearance = |pose: &Pose2| self.world.clearance(pose.translation());
+        if clearance(&next) < COLLISION_RADIUS.min(clearance(&self.map_from_base)) {
             self.hits += u32::from(self.twist != Twist2::default());
             self.vehicle.stop();
             self.twist = Twist2::default();
@@ -54,7 +54,7 @@ impl<'a> Car<'a> {
         }
     }
 
-    /// Somebody carries the car off, at the speed it has.
+    /// Places the car somewhere else; it keeps its speed.
     pub fn teleport(&mut self, map_from_base: Pose2) {
         self.map_from_base = map_from_base;
     }
@@ -66,8 +66,8 @@ mod tests {
     use crate::simulation::built_in::BuiltIn;
 
     #[test]
-    fn walls_stop_the_car_and_let_it_go_back() {
-        let (world, _) = BuiltIn::Room.draw();
+    fn walls_stop_the_car_and_it_can_reverse() {
+        let (world, _) = BuiltIn::Room.build();
         let knobs = VehicleKnobs::default();
         let mut car = Car::new(&world, &knobs, Pose2::new(3.0, 0.0, 0.0));
         let mut drive = |speed: f64, ticks: u32| {
@@ -85,7 +85,7 @@ mod tests {
 
     #[test]
     fn no_command_is_faster_than_the_car() {
-        let (world, _) = BuiltIn::Corridor.draw();
+        let (world, _) = BuiltIn::Corridor.build();
         let knobs = VehicleKnobs { speed: 2.0, ..VehicleKnobs::default() };
         let mut car = Car::new(&world, &knobs, Pose2::new(0.0, -6.1, 0.0));
         for _ in 0..200 {

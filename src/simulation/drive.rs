@@ -1,4 +1,4 @@
-//! A simulated drive, as the messages a robot would have recorded.
+//! A simulated drive as a sequence of recorded ROS messages.
 
 use rand_pcg::Pcg64;
 
@@ -19,24 +19,24 @@ use super::scene::Scene;
 use super::traffic::{Traffic, TrafficKnobs};
 use super::vehicle::VehicleKnobs;
 
-/// When every drive begins.
+/// Start time of every drive.
 pub const START: Stamp = Stamp::from_nanoseconds(1_700_000_000_000_000_000);
-/// The frame of the world.
+/// Frame of the world.
 pub const MAP_FRAME: &str = "map";
-/// Time from the last ray of a scan to its arrival, s: drivers take some milliseconds.
+/// Time from the last ray of a scan to its arrival, s: laser drivers take some milliseconds.
 const SCAN_LATENCY: f64 = 0.005;
 
 knobs! {
     /// The simulated drive.
     pub struct DriveKnobs {
-        /// How long it takes, the first second of it at rest.
+        /// Duration, including a first second at rest.
         duration: Seconds = Seconds(20.0), in 0.1 to 36000, unit "s";
-        /// Another seed: other noise and, in a map, another start. The same seed: the same drive, bit for bit.
+        /// Seed of the noise and, in a map, of start and direction. Drives with the same seed are bitwise identical.
         seed: u32 = 1;
     }
 }
 
-/// Everything there is to set of a simulation.
+/// All parameters of a simulation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
     /// The drive.
@@ -47,30 +47,30 @@ pub struct Settings {
     pub lidar: LidarKnobs,
     /// The wheel odometry.
     pub odometer: OdometerKnobs,
-    /// Who else is there.
+    /// Moving people and other cars.
     pub traffic: TrafficKnobs,
 }
 
 /// A message of the simulated robot.
 #[derive(Clone, Debug, PartialEq)]
-#[allow(clippy::large_enum_variant)] // one at a time, handed on at once
+#[allow(clippy::large_enum_variant)] // only one exists at a time
 pub enum SimulatedMessage {
-    /// Where the laser sits, once at the start; latched.
+    /// Transform from `base_link` to the laser, once at the start; latched.
     Mount(TFMessage),
-    /// What the wheels say.
+    /// Wheel odometry.
     Odometry(Odometry),
-    /// Where the car is: at the stamp of every scan. [`truth_message`] is its wire form.
+    /// True pose at the stamp of every scan. [`truth_message`] converts it to a message.
     Truth {
         /// Stamp of the scan.
         stamp: Stamp,
-        /// Where `base_link` is.
+        /// True pose of `base_link`.
         map_from_base: Pose2,
     },
-    /// What the laser sees.
+    /// Laser scan.
     Scan(LaserScan),
 }
 
-/// A moment at which a message is due. The order of the variants is that of messages recorded at the same time.
+/// A scheduled message. The order of the variants is the recording order of messages with the same time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Due {
     Mount,
@@ -79,8 +79,8 @@ enum Due {
     Scan(u32),
 }
 
-/// Drives through a scene and hands each message to `record` with the time at which it would be recorded, in the order of these
-/// times. An error of `record` ends the drive.
+/// Simulates a drive through a scene. Calls `record` for each message with the time at which it would be recorded, in order of
+/// these times. An error of `record` ends the drive.
 pub fn simulate<E>(
     settings: &Settings,
     scene: &Scene,
@@ -95,13 +95,13 @@ pub fn simulate<E>(
     let traffic = Traffic::new(traffic, &scene.route, scene.world.as_ref(), &motion, random(3));
 
     let scan_delay = lidar.sweep_time() + SCAN_LATENCY;
-    let mut agenda = vec![(START, Due::Mount)];
-    agenda.extend(times_until(drive.duration, odometry_time).map(|(k, t)| (START.offset_by(t), Due::Odometry(k))));
-    agenda.extend(times_until(drive.duration, scan_time).map(|(k, t)| (START.offset_by(t), Due::Truth(k))));
-    agenda.extend(times_until(drive.duration, scan_time).map(|(k, t)| (START.offset_by(t + scan_delay), Due::Scan(k))));
-    agenda.sort_unstable();
+    let mut schedule = vec![(START, Due::Mount)];
+    schedule.extend(times_until(drive.duration, odometry_time).map(|(k, t)| (START.offset_by(t), Due::Odometry(k))));
+    schedule.extend(times_until(drive.duration, scan_time).map(|(k, t)| (START.offset_by(t), Due::Truth(k))));
+    schedule.extend(times_until(drive.duration, scan_time).map(|(k, t)| (START.offset_by(t + scan_delay), Due::Scan(k))));
+    schedule.sort_unstable();
 
-    for (time, due) in agenda {
+    for (time, due) in schedule {
         let message = match due {
             Due::Mount => SimulatedMessage::Mount(mount_message(START, settings.lidar.laser_in_base)),
             Due::Odometry(k) => SimulatedMessage::Odometry(odometer.read(motion.pose_at(odometry_time(k)), time)),
@@ -117,12 +117,12 @@ pub fn simulate<E>(
     Ok(())
 }
 
-/// Counts up, as long as the time of the count is within `duration`.
+/// Indices with their times, as long as the time is less than `duration`.
 fn times_until(duration: Seconds, time: impl Fn(u32) -> f64) -> impl Iterator<Item = (u32, f64)> {
     (0..).map(move |k| (k, time(k))).take_while(move |(_, time)| *time < duration.0)
 }
 
-/// Where the laser sits as a message.
+/// The static transform from `base_link` to the laser as a message.
 pub fn mount_message(stamp: Stamp, laser_in_base: Pose2) -> TFMessage {
     let header = Header { stamp: stamp.into(), frame_id: BASE_FRAME.into(), ..Header::default() };
     let transform = laser_in_base.into();

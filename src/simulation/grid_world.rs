@@ -1,4 +1,4 @@
-//! Occupancy grids as worlds to drive in.
+//! Occupancy grids as worlds.
 
 use crate::geometry::Point;
 use crate::map::distance::DistanceField;
@@ -6,7 +6,7 @@ use crate::map::grid::{Cell, OccupancyGrid};
 
 use super::world::World;
 
-/// A map to drive in: the grid with the clearance of every cell.
+/// A map as a world: the grid with the clearance of every cell.
 #[derive(Clone, Debug)]
 pub struct GridWorld {
     grid: OccupancyGrid,
@@ -14,7 +14,7 @@ pub struct GridWorld {
 }
 
 impl GridWorld {
-    /// Computes the clearances. What is not known to be free counts as a wall for them.
+    /// Computes the clearances, for which unknown cells count as walls.
     pub fn new(grid: OccupancyGrid) -> Self {
         let clearance = DistanceField::new(grid.width(), grid.cells().iter().map(|&cell| cell != Cell::Free));
         Self { grid, clearance }
@@ -31,11 +31,11 @@ impl World for GridWorld {
         self.grid.range(origin, direction, max)
     }
 
-    #[allow(clippy::cast_possible_truncation)] // saturates: far outside any map
+    #[allow(clippy::cast_possible_truncation)] // saturates far outside of any map
     fn clearance(&self, point: Point) -> f64 {
         let cell = self.grid.coordinates(point);
-        let centres = self.clearance.at(cell.x.floor() as i64, cell.y.floor() as i64);
-        // From centre to centre; the point and the wall may each be half a diagonal nearer.
-        (centres - std::f64::consts::SQRT_2).max(0.0) * self.grid.resolution()
+        let distance = self.clearance.at(cell.x.floor() as i64, cell.y.floor() as i64);
+        // The distance field is between cell centres; the point and the wall may each be half a diagonal closer.
+        (distance - std::f64::consts::SQRT_2).max(0.0) * self.grid.resolution()
     }
 }

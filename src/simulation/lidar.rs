@@ -17,44 +17,44 @@ use super::world::World;
 knobs! {
     /// The simulated laser scanner.
     pub struct LidarKnobs {
-        /// Rays of a scan.
+        /// Number of rays of a scan.
         beams: u32 = 1081, in 10 to 10000;
-        /// Angle between the first and the last ray; at 360 the last stops one step short of the first.
+        /// Angle between the first and the last ray; at 360 the last ray is one step before the first.
         field_of_view: f64 = 270.0, in 10 to 360, unit "deg";
-        /// At 360 degrees: whether the last ray falls on the first, as with `racecar_simulator`, instead of stopping one step short of it.
+        /// At 360 degrees: the last ray coincides with the first, as in `racecar_simulator`, instead of being one step before it.
         overlap: bool = false;
         /// Scans per second.
         rate: f64 = 40.0, in 0.1 to 1000, unit "Hz";
-        /// Nearest distance measured; nearer walls give -inf (REP 117).
+        /// Minimum range; closer walls give -inf (REP 117).
         range_min: f64 = 0.06, in 0 to 10, unit "m";
-        /// Farthest distance measured; a ray that meets nothing within gives inf (REP 117).
+        /// Maximum range; rays without a hit within it give inf (REP 117).
         range_max: f64 = 30.0, in 0.5 to 1000, unit "m";
         /// Standard deviation of the ranges.
         noise: f64 = 0.01, in 0 to 1, unit "m";
-        /// Ranges are whole multiples of this; 0: unrounded.
+        /// Ranges are rounded to multiples of this; 0: not rounded.
         range_resolution: f64 = 0.001, in 0 to 1, unit "m";
-        /// Time from the first ray of a scan to the last. 0: a scan is taken in an instant, and motion does not distort it.
+        /// Time from the first ray of a scan to the last. 0: instantaneous scans without motion distortion.
         scan_duration: Seconds = Seconds(0.0), in 0 to 10, unit "s";
-        /// Where the laser sits on the car.
+        /// Pose of the laser in `base_link`.
         laser_in_base: Pose2 = Pose2::new(0.275, 0.0, 0.0), unit "m, m, rad";
     }
 }
 
-/// The frame of the laser.
+/// Frame of the laser.
 pub const LASER_FRAME: &str = "laser";
 
 /// A laser scanner on a car.
 #[derive(Clone, Debug)]
 pub struct Lidar<'a> {
     knobs: &'a LidarKnobs,
-    /// What every scan has in common, with the numbers as the message rounds them.
+    /// Constant fields of the scans, with numbers rounded to the precision of the message.
     template: LaserScan,
     beams: BeamGeometry,
     random: Pcg64,
 }
 
 impl<'a> Lidar<'a> {
-    /// A scanner with its own source of noise.
+    /// A scanner; `random` is its source of noise.
     #[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
     pub fn new(knobs: &'a LidarKnobs, random: Pcg64) -> Self {
         let beams = f64::from(knobs.beams);
@@ -73,7 +73,7 @@ impl<'a> Lidar<'a> {
             range_max: knobs.range_max as f32,
             ..LaserScan::default()
         };
-        // The true beams are those that a reader of the message computes.
+        // The beams are computed from the rounded fields, as a reader of the message does.
         let beams = BeamGeometry::new(angle_min.into(), angle_increment.into(), knobs.beams as usize);
         Self { knobs, template, beams, random }
     }
@@ -87,8 +87,8 @@ impl<'a> Lidar<'a> {
         ray as f64 * f64::from(self.template.time_increment)
     }
 
-    /// A scan stamped `stamp`, the time of its first ray. So many seconds after that, `world` is how the world is, and
-    /// `map_from_base` where the car is.
+    /// Takes a scan with the stamp `stamp`, the time of its first ray. `world` and `map_from_base` give the world and the pose of
+    /// the car as functions of the time since then, s.
     pub fn scan<W: World>(&mut self, world: impl Fn(f64) -> W, map_from_base: impl Fn(f64) -> Pose2, stamp: Stamp) -> LaserScan {
         let laser = |after| map_from_base(after) * self.knobs.laser_in_base;
         let range_max = self.knobs.range_max;
@@ -104,13 +104,13 @@ impl<'a> Lidar<'a> {
         };
         let mut scan = self.template.clone();
         scan.header.stamp = stamp.into();
-        scan.ranges = distances.into_iter().map(|distance| self.reading(distance)).collect();
+        scan.ranges = distances.into_iter().map(|distance| self.measurement(distance)).collect();
         scan
     }
 
-    /// What the scanner says of a wall at `distance`.
+    /// The measured range of a wall at `distance`; `None`: no hit.
     #[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
-    fn reading(&mut self, distance: Option<f64>) -> f32 {
+    fn measurement(&mut self, distance: Option<f64>) -> f32 {
         let error: f64 = StandardNormal.sample(&mut self.random);
         let Some(distance) = distance else { return f32::INFINITY };
         let measured = round_to(distance + self.knobs.noise * error, self.knobs.range_resolution);
@@ -124,7 +124,7 @@ impl<'a> Lidar<'a> {
     }
 }
 
-/// The multiple of `step` nearest to `value`; the value itself when `step` is 0.
+/// Rounds to the nearest multiple of `step`; 0: does not round.
 fn round_to(value: f64, step: f64) -> f64 {
     if step > 0.0 { (value / step).round() * step } else { value }
 }

@@ -1,4 +1,4 @@
-//! A map whose beams leap from wall to wall: fast enough for a laser that scans a thousand times a second.
+//! A map as a world with ray marching: fast enough for a laser with a thousand scans per second.
 
 use crate::geometry::{Point, Pose2};
 use crate::map::grid::OccupancyGrid;
@@ -7,19 +7,19 @@ use crate::raycasting::{Fan, RayCaster, RayCasting, Viewpoint};
 use super::grid_world::GridWorld;
 use super::world::World;
 
-/// A map to drive in. Its ranges are those of [`GridWorld`] to a thousandth of a cell.
+/// A map as a world. Its ranges agree with those of [`GridWorld`] to a thousandth of a cell.
 pub struct MarchedWorld {
     world: GridWorld,
     caster: Box<dyn RayCaster>,
-    /// One beam, straight ahead.
-    ahead: Fan,
+    /// A single beam straight ahead.
+    single_beam: Fan,
 }
 
 impl MarchedWorld {
-    /// A map in which beams go `max_range` m.
+    /// A map with beams of up to `max_range` m.
     pub fn new(grid: OccupancyGrid, max_range: f64) -> Self {
         let caster = RayCasting::RayMarching.caster(&grid, max_range / grid.resolution());
-        Self { world: GridWorld::new(grid), caster, ahead: Fan::new([0.0]) }
+        Self { world: GridWorld::new(grid), caster, single_beam: Fan::new([0.0]) }
     }
 }
 
@@ -28,7 +28,7 @@ impl World for MarchedWorld {
         let grid = self.world.grid();
         let along = grid.pose_in_cells(&Pose2::new(origin.x, origin.y, direction.y.atan2(direction.x)));
         let mut cells = [f32::INFINITY];
-        self.caster.cast(&[Viewpoint::new(&along)], &self.ahead, &mut cells);
+        self.caster.cast(&[Viewpoint::new(&along)], &self.single_beam, &mut cells);
         let range = f64::from(cells[0]) * grid.resolution();
         (range <= max).then_some(range)
     }
@@ -44,7 +44,7 @@ mod tests {
     use crate::map::grid::Cell;
 
     #[test]
-    fn ranges_are_those_of_the_exact_walk() {
+    fn ranges_agree_with_exact_ray_casting() {
         let (width, height) = (60, 40);
         let wall = |x: usize, y: usize| x == 0 || y == 0 || x == width - 1 || y == height - 1 || (x / 7 + y / 5) % 6 == 5;
         let cells = (0..width * height).map(|i| if wall(i % width, i / width) { Cell::Occupied } else { Cell::Free });
@@ -56,7 +56,7 @@ mod tests {
             let [a, b] = [&exact as &dyn World, &marched].map(|world| world.range(origin, Point::new(cos, sin), 10.0).unwrap());
             (a - b).abs() < 1e-3
         };
-        // A beam that grazes a corner may pass it on either side.
+        // Beams that graze a corner may hit or miss it.
         assert!((0..628).filter(|&i| !close(i)).count() < 5);
         assert_eq!(marched.range(Point::new(-50.0, 0.0), Point::new(1.0, 0.0), 10.0), None, "outside");
     }

@@ -1,14 +1,13 @@
 //! A simulated racecar: a world, a lidar, a vehicle and its odometer.
 //!
-//! [`drive::simulate`] puts them together: a [`scene`] gives the walls and the route through them, a [`driver`] steers the
-//! [`vehicle`] along the route into a [`motion`], and the [`lidar`] and the [`odometer`] measure that motion, amid
-//! [`traffic`] if wanted. A [`world`](world::World) may answer for all [`rays`] of a scan at once. The same seed makes the same
-//! messages, bit for bit.
+//! [`drive::simulate`] combines them: a [`scene`] provides walls and a route, a [`driver`] steers the [`vehicle`] along the
+//! route, which gives a [`motion`], and the [`lidar`] and the [`odometer`] measure that motion, with optional [`traffic`]. A
+//! [`world`](world::World) casts all [`rays`] of a scan at once. Messages with the same seed are bitwise identical.
 //!
-//! Live, a [`car`] goes where it is told to, moment by moment; beams of its lidar may take the short way through a [`marched_world`].
+//! In live simulation a [`car`] executes commands step by step; a [`marched_world`] casts its laser beams faster.
 //!
-//! For the study of one match at a time, [`pairs`] takes two scans close together in a [`random_world`], and [`information`] says
-//! how well any matcher could do there.
+//! For tests of single matches, [`pairs`] samples two scans taken close to each other in a [`random_world`], and [`information`]
+//! computes the best accuracy that any matcher can reach there.
 
 pub mod built_in;
 pub mod car;

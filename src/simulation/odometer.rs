@@ -1,8 +1,8 @@
-//! Simulated wheel odometry, wrong in the ways that real odometry is wrong.
+//! Simulated wheel odometry with the typical errors of real odometry.
 //!
-//! Every drive has its own error of scale in distance and in turning, and its own steady drift to one side, drawn once; on top of
-//! these comes noise that grows with the way the wheels roll. A car at rest reads exactly zero. The covariances are those of this
-//! very model, to first order.
+//! Every drive has its own scale errors of distance and rotation and its own constant drift to one side, sampled once. In
+//! addition there is noise that grows with the distance that the wheels roll. A car at rest reads exactly zero. The covariances
+//! follow from this model to first order.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Vector3};
 use rand_distr::{Distribution, StandardNormal};
@@ -22,58 +22,59 @@ knobs! {
     pub struct OdometerKnobs {
         /// Readings per second.
         rate: f64 = 50.0, in 0.1 to 1000, unit "Hz";
-        /// Standard deviation from drive to drive of the relative error of distances.
+        /// Standard deviation between drives of the relative error of distances.
         distance_scale: f64 = 0.02, in 0 to 0.5;
-        /// Standard deviation from drive to drive of the relative error of angles.
+        /// Standard deviation between drives of the relative error of angles.
         yaw_scale: f64 = 0.03, in 0 to 0.5;
-        /// Standard deviation from drive to drive of the steady turn to one side.
+        /// Standard deviation between drives of the constant drift of the heading.
         yaw_drift: f64 = 0.005, in 0 to 0.5, unit "rad/m";
-        /// Standard deviation of the distance after a metre.
+        /// Standard deviation of the measured distance after a metre.
         distance_noise: f64 = 0.01, in 0 to 0.5, unit "m/sqrt(m)";
-        /// Standard deviation of the heading after a metre.
+        /// Standard deviation of the measured heading after a metre.
         yaw_noise: f64 = 0.005, in 0 to 0.5, unit "rad/sqrt(m)";
     }
 }
 
-/// The frame in which odometry begins at the identity.
+/// Frame of the odometry, which begins at the identity.
 pub const ODOM_FRAME: &str = "odom";
-/// The frame of the car.
+/// Frame of the car.
 pub const BASE_FRAME: &str = "base_link";
-/// Half the distance of the wheels, m: the way they roll per radian when the car turns on the spot.
+/// Half the track width, m: the distance that the wheels roll per radian of rotation.
 const HALF_TRACK: f64 = 0.15;
-/// Variance stated for what cannot vary (height, roll, pitch, anything at rest): readers take 0 for "not measured".
-const NEXT_TO_NOTHING: f64 = 1e-6;
+/// Minimum variance in the messages, for components that cannot vary (height, roll, pitch, everything at rest): readers interpret
+/// 0 as "not measured".
+const MIN_VARIANCE: f64 = 1e-6;
 
 /// The wheel odometry of a car.
 #[derive(Clone, Debug)]
 pub struct Odometer<'a> {
     knobs: &'a OdometerKnobs,
     random: Pcg64,
-    /// The errors of this drive: of distances, of angles, and the drift, rad/m.
+    /// Systematic errors of this drive: relative errors of distances and angles, and the drift, rad/m.
     bias: Vector3<f64>,
-    /// Where the car was when last asked.
+    /// True pose at the last reading.
     map_from_base: Pose2,
-    estimate: Estimate,
+    estimate: DeadReckoning,
 }
 
 impl<'a> Odometer<'a> {
-    /// The odometry of a car that stands at `map_from_base`.
+    /// The odometry of a car at rest at `map_from_base`.
     pub fn new(knobs: &'a OdometerKnobs, map_from_base: Pose2, mut random: Pcg64) -> Self {
-        let bias = bias_deviations(knobs).map(|deviation| deviation * draw(&mut random));
-        Self { knobs, random, bias, map_from_base, estimate: Estimate::default() }
+        let bias = bias_deviations(knobs).map(|deviation| deviation * sample_normal(&mut random));
+        Self { knobs, random, bias, map_from_base, estimate: DeadReckoning::default() }
     }
 
-    /// The reading when the car has come to `map_from_base`, one period after the last reading.
+    /// The reading when the car is at `map_from_base`, one period after the last reading.
     pub fn read(&mut self, map_from_base: Pose2, stamp: Stamp) -> Odometry {
         let moved = self.map_from_base.between(&map_from_base);
         self.map_from_base = map_from_base;
-        let truth = Twist2::of_motion(&moved, 1.0);
+        let truth = Twist2::from_motion(&moved, 1.0);
         let rolled = truth.vx.hypot(truth.vy) + HALF_TRACK * truth.omega.abs();
         let noise = [self.knobs.distance_noise, self.knobs.yaw_noise].map(|deviation| deviation * rolled.sqrt());
         let measured = Twist2 {
-            vx: truth.vx * (1.0 + self.bias.x) + noise[0] * draw(&mut self.random),
+            vx: truth.vx * (1.0 + self.bias.x) + noise[0] * sample_normal(&mut self.random),
             vy: truth.vy,
-            omega: truth.omega * (1.0 + self.bias.y) + truth.vx * self.bias.z + noise[1] * draw(&mut self.random),
+            omega: truth.omega * (1.0 + self.bias.y) + truth.vx * self.bias.z + noise[1] * sample_normal(&mut self.random),
         };
         let step = Step { measured, variances: noise.map(|deviation| deviation * deviation) };
         self.estimate.advance(&step);
@@ -100,7 +101,7 @@ impl<'a> Odometer<'a> {
     }
 }
 
-fn draw(random: &mut Pcg64) -> f64 {
+fn sample_normal(random: &mut Pcg64) -> f64 {
     StandardNormal.sample(random)
 }
 
@@ -108,68 +109,68 @@ fn bias_deviations(knobs: &OdometerKnobs) -> Vector3<f64> {
     Vector3::new(knobs.distance_scale, knobs.yaw_scale, knobs.yaw_drift)
 }
 
-/// What the wheels say of the way since the last reading.
+/// The measured motion since the last reading.
 struct Step {
-    /// The arc: m, m, rad.
+    /// The arc: x, m; y, m; rotation, rad.
     measured: Twist2,
-    /// Of the noise in distance and angle.
+    /// Variances of the noise in distance and angle.
     variances: [f64; 2],
 }
 
 impl Step {
-    /// Derivatives of distance, side step and angle by the errors of the drive.
-    fn by_bias(&self) -> Matrix3<f64> {
+    /// Jacobian of distance, lateral motion and angle with respect to the systematic errors.
+    fn bias_jacobian(&self) -> Matrix3<f64> {
         let Twist2 { vx, omega, .. } = self.measured;
         Matrix3::new(vx, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, omega, vx)
     }
 
-    /// Covariance of distance, side step and angle.
+    /// Covariance of distance, lateral motion and angle.
     fn covariance(&self, bias_deviations: Vector3<f64>) -> Matrix3<f64> {
         let [distance, angle] = self.variances;
-        squared(&(self.by_bias() * Matrix3::from_diagonal(&bias_deviations)))
+        times_transpose(&(self.bias_jacobian() * Matrix3::from_diagonal(&bias_deviations)))
             + Matrix3::from_diagonal(&Vector3::new(distance, 0.0, angle))
     }
 }
 
-/// The pose that follows from the steps, and how wrong it may be.
+/// Integrates the measured steps to a pose with its uncertainty.
 #[derive(Clone, Debug, Default)]
-struct Estimate {
+struct DeadReckoning {
     odom_from_base: Pose2,
     /// Covariance due to the noise.
-    by_noise: PoseCovariance,
-    /// Derivatives of the pose by the errors of the drive. These go on from step to step: their effect adds up, that of noise
-    /// partly cancels.
-    by_bias: Matrix3<f64>,
+    noise_covariance: PoseCovariance,
+    /// Jacobian of the pose with respect to the systematic errors. They are the same in every step, so their effects add up,
+    /// while those of the noise partly cancel.
+    bias_jacobian: Matrix3<f64>,
 }
 
-impl Estimate {
+impl DeadReckoning {
     fn advance(&mut self, step: &Step) {
         let before = self.odom_from_base;
         let after = before * step.measured.motion(1.0);
-        // An error of the heading before swings the step round its beginning.
-        let by_before = Matrix3::new(1.0, 0.0, before.y - after.y, 0.0, 1.0, after.x - before.x, 0.0, 0.0, 1.0);
-        // An error of the angle turned swings it half as far; an error of distance lies along the chord.
+        // A heading error before the step rotates the step about its start.
+        let before_jacobian = Matrix3::new(1.0, 0.0, before.y - after.y, 0.0, 1.0, after.x - before.x, 0.0, 0.0, 1.0);
+        // An error of the step's angle rotates it by half; an error of the distance acts along the chord.
         let (sin, cos) = (before.theta + 0.5 * step.measured.omega).sin_cos();
         let by_distance = Vector3::new(cos, sin, 0.0);
         let by_angle = Vector3::new(0.5 * (before.y - after.y), 0.5 * (after.x - before.x), 1.0);
-        let by_step = Matrix3x2::from_columns(&[by_distance, by_angle]);
-        let noise = by_step * Matrix2::from_diagonal(&step.variances.into()) * by_step.transpose();
-        self.by_noise = by_before * self.by_noise * by_before.transpose() + noise;
-        let step_by_bias = step.by_bias().remove_row(1);
-        self.by_bias = by_before * self.by_bias + by_step * step_by_bias;
+        let step_jacobian = Matrix3x2::from_columns(&[by_distance, by_angle]);
+        let noise = step_jacobian * Matrix2::from_diagonal(&step.variances.into()) * step_jacobian.transpose();
+        self.noise_covariance = before_jacobian * self.noise_covariance * before_jacobian.transpose() + noise;
+        let step_bias_jacobian = step.bias_jacobian().remove_row(1);
+        self.bias_jacobian = before_jacobian * self.bias_jacobian + step_jacobian * step_bias_jacobian;
         self.odom_from_base = after;
     }
 
     fn covariance(&self, bias_deviations: Vector3<f64>) -> PoseCovariance {
-        self.by_noise + squared(&(self.by_bias * Matrix3::from_diagonal(&bias_deviations)))
+        self.noise_covariance + times_transpose(&(self.bias_jacobian * Matrix3::from_diagonal(&bias_deviations)))
     }
 }
 
-fn squared(root: &Matrix3<f64>) -> Matrix3<f64> {
+fn times_transpose(root: &Matrix3<f64>) -> Matrix3<f64> {
     root * root.transpose()
 }
 
-/// A covariance of x, y, yaw as messages carry it.
+/// A covariance of x, y, yaw in the form of the message.
 fn wire_covariance(covariance: &PoseCovariance) -> Covariance {
-    full_covariance(&(covariance + Matrix3::from_diagonal_element(NEXT_TO_NOTHING)), NEXT_TO_NOTHING)
+    full_covariance(&(covariance + Matrix3::from_diagonal_element(MIN_VARIANCE)), MIN_VARIANCE)
 }

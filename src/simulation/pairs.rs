@@ -1,4 +1,4 @@
-//! Pairs of scans taken shortly one after the other, with the true motion between them: what a matcher's accuracy is measured with.
+//! Pairs of scans taken shortly after each other, with the true motion between them, to measure the accuracy of a matcher.
 
 use nalgebra::Matrix3;
 use rand::{RngExt, SeedableRng};
@@ -14,29 +14,30 @@ use super::information;
 use super::lidar::{Lidar, LidarKnobs};
 use super::random_world::{RandomWorld, Surroundings};
 
-/// Error of the first guesses: root mean square of the length, m,
+/// RMS translation error of the initial guesses, m.
 pub const GUESS_TRANSLATION: f64 = 0.015;
-/// and of the angle, deg.
+/// RMS rotation error of the initial guesses, deg.
 pub const GUESS_ROTATION: f64 = 0.6;
-/// Scan rate (Hz), top speed (m/s) and top yaw rate (rad/s) of the drives: a fast laser on a race, a slow one on a stroll.
+/// Scan rate, Hz, maximum speed, m/s, and maximum yaw rate, rad/s, of the drives: a fast laser on a racecar and a slow laser on a
+/// slow robot.
 const DRIVES: [(f64, f64, f64); 2] = [(40.0, 7.0, 3.0), (10.0, 2.0, 1.0)];
 
-/// Two scans and what is between them.
+/// Two scans and the motion between them.
 #[derive(Clone, Debug)]
 pub struct ScanPair {
     /// The earlier scan.
     pub reference: Scan,
     /// The later scan.
     pub sensed: Scan,
-    /// Where its laser truly was, in the frame of the earlier one's.
+    /// True pose of the later laser in the frame of the earlier one.
     pub reference_from_sensed: Pose2,
-    /// The truth, disturbed by normal errors of [`GUESS_TRANSLATION`] and [`GUESS_ROTATION`].
+    /// The true pose with normally distributed errors of [`GUESS_TRANSLATION`] and [`GUESS_ROTATION`].
     pub first_guess: Pose2,
-    /// What the later scan tells of its pose if the world is known; see [`information::bound_of_pair`].
+    /// Fisher information of the later scan about its pose in a known world; see [`information::pair_covariance_bound`].
     pub information: Matrix3<f64>,
 }
 
-/// Draws one pair after the other, each somewhere else. The same seed: the same pairs, bit for bit.
+/// Samples pairs at random positions. Pairs with the same seed are bitwise identical.
 #[derive(Debug)]
 pub struct Pairs {
     world: RandomWorld,
@@ -46,46 +47,52 @@ pub struct Pairs {
 }
 
 impl Pairs {
-    /// Pairs in worlds of a kind, of scans with so many beams over 270 degrees and a range noise of 1 cm.
+    /// Pairs in a kind of world, with `beams` beams over 270 degrees and a range noise of 1 cm.
     pub fn new(world: RandomWorld, beams: u32, seed: u64) -> Self {
         let lidar = LidarKnobs { beams, range_resolution: 0.0, laser_in_base: Pose2::IDENTITY, ..LidarKnobs::default() };
         Self { world, lidar, random: Pcg64::seed_from_u64(seed), converter: ScanConverter::default() }
     }
 
-    fn draw(&mut self) -> Result<ScanPair, ScanError> {
+    fn sample(&mut self) -> Result<ScanPair, ScanError> {
         let random = &mut self.random;
-        let Surroundings { walls, map_from_laser } = self.world.draw(random);
+        let Surroundings { walls, map_from_laser } = self.world.sample(random);
         let reference_from_sensed = motion(random);
-        let first_guess = disturbed(&reference_from_sensed, random);
+        let first_guess = with_noise(&reference_from_sensed, random);
         let mut lidar = Lidar::new(&self.lidar, Pcg64::from_rng(random));
         let mut scan_at = |map_from_laser: Pose2| lidar.scan(|_| &walls, |_| map_from_laser, Stamp::default());
         let (before, after) = (scan_at(map_from_laser), scan_at(map_from_laser * reference_from_sensed));
-        let mut checked = |message: &LaserScan| self.converter.convert(message, false);
-        let (reference, sensed) = (checked(&before)?, checked(&after)?);
+        let mut convert = |message: &LaserScan| self.converter.convert(message, false);
+        let (reference, sensed) = (convert(&before)?, convert(&after)?);
         let in_map = map_from_laser * reference_from_sensed;
-        let known = information::of_scan(&walls, &in_map, sensed.beams(), self.lidar.noise, self.lidar.range_max);
-        let turn = nalgebra::Rotation3::from_axis_angle(&nalgebra::Vector3::z_axis(), -map_from_laser.theta);
-        Ok(ScanPair { reference, sensed, reference_from_sensed, first_guess, information: turn * known * turn.transpose() })
+        let known = information::scan_information(&walls, &in_map, sensed.beams(), self.lidar.noise, self.lidar.range_max);
+        let rotation = nalgebra::Rotation3::from_axis_angle(&nalgebra::Vector3::z_axis(), -map_from_laser.theta);
+        Ok(ScanPair {
+            reference,
+            sensed,
+            reference_from_sensed,
+            first_guess,
+            information: rotation * known * rotation.transpose(),
+        })
     }
 }
 
 impl Iterator for Pairs {
     type Item = ScanPair;
 
-    /// Never the last one. A place that shows too little for a scan is passed over.
+    /// Never ends. Positions with too few measurements for a scan are skipped.
     fn next(&mut self) -> Option<ScanPair> {
-        (0..u32::MAX).find_map(|_| self.draw().ok())
+        (0..u32::MAX).find_map(|_| self.sample().ok())
     }
 }
 
-/// What a driving car does from one scan to the next.
+/// Random motion of a driving car from one scan to the next.
 fn motion(random: &mut Pcg64) -> Pose2 {
     let (rate, speed, yaw_rate) = DRIVES[random.random_range(0..DRIVES.len())];
     let twist = Twist2 { vx: random.random_range(0.0..speed), vy: 0.0, omega: random.random_range(-yaw_rate..yaw_rate) };
     twist.motion(rate.recip())
 }
 
-fn disturbed(pose: &Pose2, random: &mut Pcg64) -> Pose2 {
+fn with_noise(pose: &Pose2, random: &mut Pcg64) -> Pose2 {
     let [x, y, theta]: [f64; 3] = std::array::from_fn(|_| StandardNormal.sample(random));
     let along_axis = GUESS_TRANSLATION * std::f64::consts::FRAC_1_SQRT_2;
     Pose2::new(pose.x + along_axis * x, pose.y + along_axis * y, pose.theta + GUESS_ROTATION.to_radians() * theta)

@@ -1,4 +1,4 @@
-//! Finds a route in a map: the shortest well clear loop round its largest island, which is what a race track is.
+//! Plans routes in a map: paths between two points, and the cheapest loop around the largest island, as on a race track.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -8,80 +8,84 @@ use thiserror::Error;
 use crate::geometry::Point;
 
 use super::grid_world::GridWorld;
-use super::route::smooth_way;
+use super::route::smooth_path;
 use super::world::World;
 
-/// Distance that the route keeps from every wall, m.
+/// Minimum distance of the route from every wall, m.
 pub const MARGIN: f64 = 0.4;
-/// Going nearer to a wall than this costs noticeably more than going round, m.
-const COMFORT: f64 = 0.6;
-/// Distance between the nodes of the search, m; less than [`MARGIN`], so that the way from node to node is clear too.
+/// Scale of the clearance cost, m: a detour is cheaper than driving closer to a wall than this for long.
+const COMFORTABLE_CLEARANCE: f64 = 0.6;
+/// Distance between the nodes of the search, m; less than [`MARGIN`], so that the path between nodes is clear, too.
 const NODE_SPACING: f64 = 0.2;
-/// Radius that a car goes round where there is nothing to go round, m.
+/// Radius of the artificial island in maps without one, m.
 const TURNING_RADIUS: f64 = 1.0;
 
-/// There is no way to drive on and on in a map.
+/// Why a map has no loop to drive.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum NoLoop {
     /// No cell is far enough from the walls.
-    #[error("no place is {MARGIN} m clear of walls and unknown cells: check the resolution and the thresholds of the map")]
-    NoRoom,
-    /// The free space has no loop and is too narrow to turn in.
     #[error(
-        "there is no loop to drive: the free space next to the map's origin has no island to go round and no place to turn in"
+        "no cell is at least {MARGIN} m away from walls and unknown cells: check the resolution and the thresholds of the map"
     )]
-    NothingToGoRound,
+    NoRoom,
+    /// The free space has no island and is too narrow for a loop.
+    #[error(
+        "there is no loop to drive: the free space next to the map's origin has no obstacle to drive around and no room for a turn"
+    )]
+    NoIsland,
 }
 
-/// There is no way from one place to another.
+/// Why there is no path between two points.
 #[derive(Clone, Debug, Error, PartialEq)]
-pub enum NoWay {
-    /// One of the places has no room for a car.
-    #[error("({x:.2}, {y:.2}) is within {MARGIN} m of a wall, of what is unknown, or outside the map")]
+pub enum NoPath {
+    /// A car does not fit at one of the points.
+    #[error("({x:.2}, {y:.2}) is less than {MARGIN} m away from a wall or unknown cells, or outside the map")]
     NoRoom {
-        /// Where, m.
+        /// x of the point, m.
         x: f64,
-        /// Where, m.
+        /// y of the point, m.
         y: f64,
     },
-    /// No way leads from the one to the other.
-    #[error("no way that is {MARGIN} m clear of walls leads there")]
+    /// The points are not connected.
+    #[error("no path leads there that keeps {MARGIN} m away from walls")]
     Separate,
 }
 
-/// The way from one place to another, well clear of walls where there is room, and smooth. It begins and ends there.
-pub fn find_way(world: &GridWorld, from: Point, to: Point) -> Result<Vec<Point>, NoWay> {
+/// Plans a smooth path from one point to another that keeps clear of walls where there is room. It begins and ends exactly at
+/// these points.
+pub fn find_path(world: &GridWorld, from: Point, to: Point) -> Result<Vec<Point>, NoPath> {
     let lattice = Lattice::new(world);
-    let node_at = |place: Point| {
-        let no_room = NoWay::NoRoom { x: place.x, y: place.y };
-        lattice.nearest_to(place).filter(|&node| (lattice.positions[node] - place).norm() <= 2.0 * NODE_SPACING).ok_or(no_room)
+    let node_at = |point: Point| {
+        let no_room = NoPath::NoRoom { x: point.x, y: point.y };
+        lattice.nearest_to(point).filter(|&node| (lattice.positions[node] - point).norm() <= 2.0 * NODE_SPACING).ok_or(no_room)
     };
-    let nodes = lattice.shortest_way(node_at(from)?, node_at(to)?).ok_or(NoWay::Separate)?;
+    let nodes = lattice.cheapest_path(node_at(from)?, node_at(to)?).ok_or(NoPath::Separate)?;
     let corners: Vec<Point> =
         std::iter::once(from).chain(nodes.into_iter().map(|node| lattice.positions[node])).chain([to]).collect();
-    Ok(smooth_way(&corners, world, MARGIN))
+    Ok(smooth_path(&corners, world, MARGIN))
 }
 
-/// Corners of a closed way through the free space nearest to the map's origin, round the largest island in it.
+/// Plans the corners of a loop around the largest island in the free space next to the map's origin.
 pub fn find_loop(world: &GridWorld) -> Result<Vec<Point>, NoLoop> {
     let mut lattice = Lattice::new(world);
-    // Cars start at the origin of a map by custom.
+    // By convention cars start at the origin of a map.
     let start = lattice.nearest_to(Point::zeros()).ok_or(NoLoop::NoRoom)?;
-    lattice.keep_only_what_connects_to(start);
-    let hub = lattice.largest_island().or_else(|| lattice.make_island()).ok_or(NoLoop::NothingToGoRound)?;
-    let gate = lattice.clearest_on_the_cut(hub).ok_or(NoLoop::NothingToGoRound)?;
-    let first = lattice.shortest_loop(hub, gate).ok_or(NoLoop::NothingToGoRound)?;
-    // That loop had to pass the gate, wherever it lies; one through the point opposite is free to take the best way there too.
+    lattice.close_unreachable_nodes(start);
+    let hub = lattice.largest_island().or_else(|| lattice.make_island()).ok_or(NoLoop::NoIsland)?;
+    let gate = lattice.clearest_node_on_cut(hub).ok_or(NoLoop::NoIsland)?;
+    let first = lattice.cheapest_loop(hub, gate).ok_or(NoLoop::NoIsland)?;
+    // That loop was forced through the gate. A second one through the opposite point can take the best route on the gate's side,
+    // too.
     let opposite = first[first.len() / 2];
-    let nodes = lattice.shortest_loop(hub, opposite).ok_or(NoLoop::NothingToGoRound)?;
+    let nodes = lattice.cheapest_loop(hub, opposite).ok_or(NoLoop::NoIsland)?;
     Ok(nodes.into_iter().map(|node| lattice.positions[node]).collect())
 }
 
-/// The nodes of the search, row by row, and how clear each one is.
+/// The nodes of the search, row by row, with their clearances.
 struct Lattice {
     columns: usize,
     positions: Vec<Point>,
-    /// 0 where the car cannot go.
+    /// Clearance, m; 0 if the car does not fit.
     clearance: Vec<f64>,
 }
 
@@ -89,7 +93,7 @@ struct Lattice {
 struct Move {
     to: usize,
     cost: u64,
-    /// Whether it passes from one side of the cut to the other.
+    /// Whether it crosses the cut.
     crosses: bool,
 }
 
@@ -111,14 +115,14 @@ impl Lattice {
         self.clearance[node] > 0.0
     }
 
-    /// The open node nearest to a place.
-    fn nearest_to(&self, place: Point) -> Option<usize> {
+    /// The open node nearest to a point.
+    fn nearest_to(&self, point: Point) -> Option<usize> {
         let open = (0..self.positions.len()).filter(|&node| self.is_open(node));
-        let distance = |node: usize| (self.positions[node] - place).norm();
+        let distance = |node: usize| (self.positions[node] - point).norm();
         open.min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
     }
 
-    /// The nodes next to one, up to eight.
+    /// The up to eight neighbours of a node.
     fn neighbours(&self, node: usize) -> impl Iterator<Item = usize> + '_ {
         let (column, row) = (node % self.columns, node / self.columns);
         let rows = self.positions.len() / self.columns;
@@ -129,12 +133,12 @@ impl Lattice {
     }
 
     /// Whether two neighbours share a row or a column.
-    fn are_straight(&self, a: usize, b: usize) -> bool {
+    fn are_in_line(&self, a: usize, b: usize) -> bool {
         a % self.columns == b % self.columns || a / self.columns == b / self.columns
     }
 
-    /// The nodes that can be reached from `start` through nodes that `pass`, by moves along the rows and columns, and if `diagonal`
-    /// also across.
+    /// The nodes that can be reached from `start` through nodes that satisfy `pass`, by moves along rows and columns and, if
+    /// `diagonal`, also by diagonal moves.
     fn region(&self, start: usize, diagonal: bool, pass: impl Fn(usize) -> bool, seen: &mut [bool]) -> Vec<usize> {
         let mut region = vec![start];
         seen[start] = true;
@@ -142,7 +146,7 @@ impl Lattice {
         while next < region.len() {
             let node = region[next];
             for other in self.neighbours(node) {
-                if !seen[other] && pass(other) && (diagonal || self.are_straight(node, other)) {
+                if !seen[other] && pass(other) && (diagonal || self.are_in_line(node, other)) {
                     seen[other] = true;
                     region.push(other);
                 }
@@ -152,7 +156,8 @@ impl Lattice {
         region
     }
 
-    fn keep_only_what_connects_to(&mut self, start: usize) {
+    /// Closes all nodes that cannot be reached from `start`.
+    fn close_unreachable_nodes(&mut self, start: usize) {
         let mut reached = vec![false; self.positions.len()];
         self.region(start, true, |node| self.is_open(node), &mut reached);
         for (clearance, reached) in self.clearance.iter_mut().zip(reached) {
@@ -165,7 +170,7 @@ impl Lattice {
         column == 0 || row == 0 || column + 1 == self.columns || (row + 1) * self.columns == self.positions.len()
     }
 
-    /// A node inside the largest closed area with open nodes all round.
+    /// A node inside the largest blocked area that is surrounded by open nodes.
     fn largest_island(&self) -> Option<usize> {
         let mut seen = vec![false; self.positions.len()];
         let mut largest = Vec::new();
@@ -182,7 +187,7 @@ impl Lattice {
         largest.get(largest.len() / 2).copied()
     }
 
-    /// Closes a disc in the clearest place, if there is room to go round it.
+    /// Creates an island: closes a disc around the node with the largest clearance, if there is room to drive around it.
     fn make_island(&mut self) -> Option<usize> {
         let hub = (0..self.positions.len()).max_by(|&a, &b| self.clearance[a].total_cmp(&self.clearance[b]))?;
         if self.clearance[hub] < TURNING_RADIUS + 2.0 * MARGIN {
@@ -195,15 +200,16 @@ impl Lattice {
         Some(hub)
     }
 
-    /// The cut runs from the hub along its row to the right, just above the nodes. A closed way that crosses it an odd number of
-    /// times goes round the hub.
-    fn crosses_the_cut(&self, hub: usize, a: usize, b: usize) -> bool {
+    /// Whether a move crosses the cut, which runs from the hub along its row to the right, just above the nodes. A closed path
+    /// that crosses it an odd number of times goes around the hub.
+    fn crosses_cut(&self, hub: usize, a: usize, b: usize) -> bool {
         let lower = a.min(b);
         a / self.columns != b / self.columns && lower / self.columns == hub / self.columns && lower > hub
     }
 
-    /// The clearest node of the first open stretch right of the island: every way round the island that keeps to it passes there.
-    fn clearest_on_the_cut(&self, hub: usize) -> Option<usize> {
+    /// The node with the largest clearance in the first open section right of the island: every loop close to the island passes
+    /// this section.
+    fn clearest_node_on_cut(&self, hub: usize) -> Option<usize> {
         let row_end = (hub / self.columns + 1) * self.columns;
         let first = (hub..row_end).find(|&node| self.is_open(node))?;
         (first..row_end).take_while(|&node| self.is_open(node)).max_by(|&a, &b| self.clearance[a].total_cmp(&self.clearance[b]))
@@ -212,29 +218,29 @@ impl Lattice {
     fn moves(&self, hub: usize, from: usize) -> impl Iterator<Item = Move> + '_ {
         self.neighbours(from).filter(|&to| self.is_open(to)).map(move |to| {
             let length = (self.positions[to] - self.positions[from]).norm();
-            let tightness = COMFORT / self.clearance[to];
+            let tightness = COMFORTABLE_CLEARANCE / self.clearance[to];
             #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // micrometres of a positive, finite length
             let cost = (1e6 * length * (1.0 + tightness * tightness)).round() as u64;
-            Move { to, cost, crosses: self.crosses_the_cut(hub, from, to) }
+            Move { to, cost, crosses: self.crosses_cut(hub, from, to) }
         })
     }
 
-    /// The cheapest way from one node to another: [`Self::cheapest`] between nodes that do not mind the cut.
-    fn shortest_way(&self, from: usize, to: usize) -> Option<Vec<usize>> {
+    /// The cheapest path from one node to another, regardless of the cut.
+    fn cheapest_path(&self, from: usize, to: usize) -> Option<Vec<usize>> {
         // A cut beyond the last node is never crossed.
-        let mut way = self.cheapest(self.positions.len(), 2 * from, 2 * to)?;
-        way.reverse();
-        Some(way)
+        let mut path = self.search(self.positions.len(), 2 * from, 2 * to)?;
+        path.reverse();
+        Some(path)
     }
 
-    /// The cheapest way from `gate` back to it that crosses the cut an odd number of times.
-    fn shortest_loop(&self, hub: usize, gate: usize) -> Option<Vec<usize>> {
-        self.cheapest(hub, 2 * gate, 2 * gate + 1)
+    /// The cheapest loop through `gate` that crosses the cut an odd number of times.
+    fn cheapest_loop(&self, hub: usize, gate: usize) -> Option<Vec<usize>> {
+        self.search(hub, 2 * gate, 2 * gate + 1)
     }
 
-    /// The nodes of the cheapest way between two states, from its end to its beginning, which is left out: Dijkstra's search over pairs
-    /// of node and parity of the crossings of the cut.
-    fn cheapest(&self, hub: usize, start: usize, goal: usize) -> Option<Vec<usize>> {
+    /// Dijkstra's algorithm over states of node and parity of the cut crossings. Returns the nodes of the cheapest path between
+    /// two states in reverse order, without the first one.
+    fn search(&self, hub: usize, start: usize, goal: usize) -> Option<Vec<usize>> {
         let mut costs = vec![u64::MAX; 2 * self.positions.len()];
         let mut came_from = vec![start; costs.len()];
         let mut queue = BinaryHeap::from([Reverse((0, start))]);

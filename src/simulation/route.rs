@@ -6,9 +6,9 @@ use super::world::World;
 
 /// Distance between the points of a route, m.
 const SPACING: f64 = 0.1;
-/// Passes of the smoothing: with [`SPACING`] they round corners over about 1.5 m.
+/// Smoothing passes: with [`SPACING`] they round corners over about 1.5 m.
 const SMOOTHING_PASSES: usize = 400;
-/// Curvature is taken over this many points to either side.
+/// Number of points on either side that the curvature is computed from.
 const CURVATURE_SPAN: usize = 3;
 
 /// A closed route: evenly spaced points, the last one followed by the first.
@@ -19,8 +19,8 @@ pub struct Route {
 }
 
 impl Route {
-    /// The route through `waypoints` and back to the first, with its corners rounded as far as `margin` from the walls allows.
-    /// `None` if the waypoints are too close together to make a loop.
+    /// The closed route through `waypoints`, with corners rounded as far as the distance `margin` from the walls allows. `None`
+    /// if the waypoints are too close together for a loop.
     pub fn smooth(waypoints: &[Point], world: &dyn World, margin: f64) -> Option<Self> {
         let mut points = evenly_spaced(waypoints)?;
         let count = points.len();
@@ -30,14 +30,14 @@ impl Route {
         Some(Self { points, spacing })
     }
 
-    /// The same loop, run the other way round.
+    /// The same loop in the opposite direction.
     #[must_use]
     pub fn reversed(mut self) -> Self {
         self.points.reverse();
         self
     }
 
-    /// The same loop, begun at its point `index` (counted on round the loop).
+    /// The same loop, starting at point `index` (modulo the number of points).
     #[must_use]
     pub fn begun_at(mut self, index: usize) -> Self {
         let first = index % self.points.len();
@@ -60,21 +60,22 @@ impl Route {
         self.spacing * self.points.len() as f64
     }
 
-    /// The point `index`, counted on round the loop.
+    /// The point `index` (modulo the number of points).
     pub fn point(&self, index: usize) -> Point {
         self.points[index % self.points.len()]
     }
 
     /// Curvature at point `index`, 1/m, positive to the left.
     pub fn curvature(&self, index: usize) -> f64 {
-        let [before, here, after] = around(&self.points, index, CURVATURE_SPAN);
+        let [before, here, after] = neighbours(&self.points, index, CURVATURE_SPAN);
         let (arriving, leaving) = (here - before, after - here);
         arriving.perp(&leaving).atan2(arriving.dot(&leaving)) / (CURVATURE_SPAN as f64 * self.spacing)
     }
 }
 
-/// The open way through `corners`, with corners rounded as far as `margin` from the walls allows; its ends stay.
-pub fn smooth_way(corners: &[Point], world: &dyn World, margin: f64) -> Vec<Point> {
+/// The open path through `corners`, with corners rounded as far as the distance `margin` from the walls allows; its ends stay
+/// fixed.
+pub fn smooth_path(corners: &[Point], world: &dyn World, margin: f64) -> Vec<Point> {
     let mut points: Vec<Point> = Vec::new();
     for ends in corners.windows(2) {
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // a length in steps
@@ -87,25 +88,26 @@ pub fn smooth_way(corners: &[Point], world: &dyn World, margin: f64) -> Vec<Poin
     points
 }
 
-/// Draws each of some points of a closed line towards the middle of its neighbours, again and again, where there is room.
+/// Smooths the points in `range` of a closed line: moves each towards the middle of its neighbours, repeatedly, where the
+/// clearance allows it.
 fn relax(points: &mut [Point], range: std::ops::Range<usize>, world: &dyn World, margin: f64) {
-    let clear = |new: Point, old: Point| {
-        let room = world.clearance(new);
-        room >= margin || room >= world.clearance(old)
+    let is_clear = |new: Point, old: Point| {
+        let clearance = world.clearance(new);
+        clearance >= margin || clearance >= world.clearance(old)
     };
     for _ in 0..SMOOTHING_PASSES {
         for i in range.clone() {
-            let [before, here, after] = around(points, i, 1);
+            let [before, here, after] = neighbours(points, i, 1);
             let relaxed = 0.5 * here + 0.25 * (before + after);
-            if clear(relaxed, here) {
+            if is_clear(relaxed, here) {
                 points[i] = relaxed;
             }
         }
     }
 }
 
-/// The points `span` before, at and `span` after `i` of a closed line.
-fn around(points: &[Point], i: usize, span: usize) -> [Point; 3] {
+/// Points `i - span`, `i` and `i + span` of a closed line.
+fn neighbours(points: &[Point], i: usize, span: usize) -> [Point; 3] {
     let n = points.len();
     [points[(i + n - span % n) % n], points[i % n], points[(i + span) % n]]
 }
@@ -114,7 +116,7 @@ fn length(points: &[Point]) -> f64 {
     (0..points.len()).map(|i| (points[(i + 1) % points.len()] - points[i]).norm()).sum()
 }
 
-/// Points on the closed line through `corners`, about [`SPACING`] apart and evenly so along the line.
+/// Evenly spaced points on the closed line through `corners`, about [`SPACING`] apart.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // the length is finite and positive
 fn evenly_spaced(corners: &[Point]) -> Option<Vec<Point>> {
     let total = length(corners);
@@ -145,10 +147,12 @@ mod tests {
     use crate::simulation::shapes::Shapes;
 
     #[test]
-    fn an_open_way_keeps_its_ends_and_rounds_its_corners() {
+    fn an_open_path_keeps_its_ends_and_rounds_its_corners() {
         let corners = [(0.0, 0.0), (5.0, 0.0), (5.0, 5.0)].map(|(x, y)| Point::new(x, y));
-        let way = smooth_way(&corners, &Shapes::default(), 0.4);
-        assert_eq!((way[0], way[way.len() - 1]), (corners[0], corners[2]));
-        assert!(way.iter().all(|point| (point - corners[1]).norm() > 0.2) && way.windows(2).all(|w| (w[1] - w[0]).norm() < 0.11));
+        let path = smooth_path(&corners, &Shapes::default(), 0.4);
+        assert_eq!((path[0], path[path.len() - 1]), (corners[0], corners[2]));
+        assert!(
+            path.iter().all(|point| (point - corners[1]).norm() > 0.2) && path.windows(2).all(|w| (w[1] - w[0]).norm() < 0.11)
+        );
     }
 }

@@ -1,4 +1,4 @@
-//! Where to drive: a world and a route through it.
+//! A scene: a world and a route through it.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -20,22 +20,22 @@ pub struct Scene {
     pub route: Route,
 }
 
-/// A smooth way round a map, well clear of its walls.
-pub fn way_round(world: &GridWorld) -> Result<Route, NoLoop> {
-    Route::smooth(&planner::find_loop(world)?, world, MARGIN).ok_or(NoLoop::NothingToGoRound)
+/// Plans a smooth loop in a map, clear of the walls.
+pub fn plan_loop(world: &GridWorld) -> Result<Route, NoLoop> {
+    Route::smooth(&planner::find_loop(world)?, world, MARGIN).ok_or(NoLoop::NoIsland)
 }
 
 impl Scene {
-    /// A world that needs no map.
+    /// A built-in world with its route.
     pub fn built_in(which: BuiltIn) -> Result<Self, NoLoop> {
-        let (world, corners) = which.draw();
+        let (world, corners) = which.build();
         Self::new(world, &corners)
     }
 
-    /// A map, with a route found in it. The seed picks the direction and the start.
+    /// A map, with a route planned in it. The seed selects direction and start of the route.
     pub fn in_map(map: OccupancyGrid, seed: u32) -> Result<Self, NoLoop> {
         let world = GridWorld::new(map);
-        let route = way_round(&world)?;
+        let route = plan_loop(&world)?;
         let mut random = Pcg64::seed_from_u64(seed.into());
         let start = random.random_range(0..route.points().len());
         let route = if random.random() { route } else { route.reversed() };
@@ -43,7 +43,7 @@ impl Scene {
     }
 
     fn new(world: impl World + 'static, corners: &[Point]) -> Result<Self, NoLoop> {
-        let route = Route::smooth(corners, &world, MARGIN).ok_or(NoLoop::NothingToGoRound)?;
+        let route = Route::smooth(corners, &world, MARGIN).ok_or(NoLoop::NoIsland)?;
         Ok(Self { world: Box::new(world), route })
     }
 }

@@ -1,40 +1,40 @@
-//! Worlds drawn from line segments and circles: exact ranges, in closed form.
+//! Worlds of line segments and circles, with exact ranges in closed form.
 
 use crate::geometry::{Point, RigidTransform, perpendicular};
 
 use super::rays::{Rays, Sector};
 use super::world::World;
 
-/// Something that rays end at.
+/// An obstacle for rays.
 trait Shape {
-    /// Distance from `origin` along the unit vector `direction`, if it is there.
+    /// Range from `origin` along the unit vector `direction`, if the ray hits the shape.
     fn range(&self, origin: Point, direction: Point) -> Option<f64>;
 
-    /// All directions, and some more, in which it may be seen from `origin`.
+    /// A sector that contains all directions in which the shape is visible from `origin`.
     fn sector(&self, origin: Point) -> Sector;
 
-    /// Distance from `point`.
+    /// Distance of the shape from `point`.
     fn distance(&self, point: Point) -> f64;
 }
 
-/// A straight thin wall.
+/// A thin straight wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Segment {
     from: Point,
     to: Point,
 }
 
-/// A round wall.
+/// A thin circular wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Circle {
     centre: Point,
     radius: f64,
 }
 
-/// Rays that pass an end of a segment by this part of its length still meet it, so that none slips through a corner.
-const OVERLAP: f64 = 1e-12;
-/// Nearer to a segment than this, m, it may be in any direction.
-const TOUCHING: f64 = 1e-6;
+/// Rays that miss an end of a segment by this fraction of its length still hit it, so that no ray slips through a corner.
+const END_TOLERANCE: f64 = 1e-12;
+/// From points closer to a segment than this, m, it may be visible in any direction.
+const TOUCH_DISTANCE: f64 = 1e-6;
 
 impl Shape for Segment {
     /// Solves `origin + t direction = from + u (to - from)` for t, with u in 0..1.
@@ -42,9 +42,10 @@ impl Shape for Segment {
         let along = self.to - self.from;
         let offset = self.from - origin;
         let determinant = direction.perp(&along);
-        let (whole, part) = (determinant.abs(), offset.perp(&direction) * determinant.signum()); // u = part / whole
-        // Most rays pass most segments by: that is told without a division.
-        if part < -OVERLAP * whole || part > (1.0 + OVERLAP) * whole {
+        // u = numerator / denominator
+        let (denominator, numerator) = (determinant.abs(), offset.perp(&direction) * determinant.signum());
+        // Most rays miss most segments: this test needs no division.
+        if numerator < -END_TOLERANCE * denominator || numerator > (1.0 + END_TOLERANCE) * denominator {
             return None;
         }
         let t = offset.perp(&along) / determinant;
@@ -53,7 +54,7 @@ impl Shape for Segment {
     }
 
     fn sector(&self, origin: Point) -> Sector {
-        if self.distance(origin) < TOUCHING { Sector::ALL } else { Sector::between(self.from - origin, self.to - origin) }
+        if self.distance(origin) < TOUCH_DISTANCE { Sector::ALL } else { Sector::between(self.from - origin, self.to - origin) }
     }
 
     fn distance(&self, point: Point) -> f64 {
@@ -64,7 +65,7 @@ impl Shape for Segment {
 }
 
 impl Shape for Circle {
-    /// Solves `|origin + t direction - centre| = radius` for the smallest t ahead; seen from inside that is the far side.
+    /// Solves `|origin + t direction - centre| = radius` for the smallest t >= 0; from inside that is the far side.
     fn range(&self, origin: Point, direction: Point) -> Option<f64> {
         let offset = self.centre - origin;
         let middle = offset.dot(&direction);
@@ -77,8 +78,8 @@ impl Shape for Circle {
     }
 
     fn sector(&self, origin: Point) -> Sector {
-        let (way, distance) = (self.centre - origin, (self.centre - origin).norm());
-        if distance <= self.radius { Sector::ALL } else { Sector::about(way, (self.radius / distance).asin()) }
+        let (direction, distance) = (self.centre - origin, (self.centre - origin).norm());
+        if distance <= self.radius { Sector::ALL } else { Sector::around(direction, (self.radius / distance).asin()) }
     }
 
     fn distance(&self, point: Point) -> f64 {
@@ -108,7 +109,7 @@ impl Shapes {
         self.walls(corners).walls(&closing)
     }
 
-    /// Adds a rectangle of `length` by `width`; `placed` takes its centre and axes to where it stands.
+    /// Adds a rectangle of `length` by `width`; `placed` is the transform from its centre and axes to the world.
     #[must_use]
     pub fn block(self, placed: &RigidTransform, length: f64, width: f64) -> Self {
         let (x, y) = (0.5 * length, 0.5 * width);
@@ -130,7 +131,7 @@ impl World for Shapes {
         segments.chain(circles).filter(|&range| range <= max).min_by(f64::total_cmp)
     }
 
-    /// Each shape is held against the rays alone that may meet it.
+    /// Tests each shape only against the rays that may hit it.
     fn ranges(&self, rays: &Rays, max: f64) -> Vec<Option<f64>> {
         let mut ranges = vec![None; rays.len()];
         shorten(&mut ranges, rays, &self.segments, max);
@@ -145,12 +146,12 @@ impl World for Shapes {
     }
 }
 
-/// Ends rays at the shapes that they meet within `max`.
+/// Shortens rays to the shapes that they hit within `max`.
 fn shorten(ranges: &mut [Option<f64>], rays: &Rays, shapes: &[impl Shape], max: f64) {
     for shape in shapes {
         rays.within(shape.sector(rays.origin())).for_each(|ray| {
-            let met = shape.range(rays.origin(), rays.direction(ray));
-            if let Some(range) = met.filter(|&range| range <= max)
+            let hit = shape.range(rays.origin(), rays.direction(ray));
+            if let Some(range) = hit.filter(|&range| range <= max)
                 && ranges[ray].is_none_or(|nearest| range < nearest)
             {
                 ranges[ray] = Some(range);
@@ -168,25 +169,25 @@ mod tests {
     use proptest::prelude::*;
     use std::f64::consts::TAU;
 
-    /// The ends of walls, where rays are most easily lost.
+    /// Ends and midpoints of walls: rays are most easily lost at the ends.
     fn corners(world: &Shapes) -> Vec<Point> {
         world.segments.iter().flat_map(|wall| [wall.from, wall.to, 0.5 * (wall.from + wall.to)]).collect()
     }
 
     proptest! {
         #[test]
-        fn a_scan_at_once_is_that_of_single_rays(
+        fn a_whole_scan_equals_single_rays(
             which in prop::sample::select(vec![BuiltIn::Corridor, BuiltIn::Room]),
             (x, y, yaw) in (-15.0..15.0, -9.0..9.0, -4.0..4.0),
             corner in prop::option::weighted(0.2, any::<prop::sample::Index>()),
             (beams, view, clockwise) in (10_u32..1100, prop_oneof![Just(1.0), 0.1..1.0], any::<bool>()),
             max in 0.5..40.0,
         ) {
-            let (world, _) = which.draw();
-            let place = corner.map_or(Point::new(x, y), |corner| *corner.get(&corners(&world)));
+            let (world, _) = which.build();
+            let origin = corner.map_or(Point::new(x, y), |corner| *corner.get(&corners(&world)));
             let increment = view * TAU / f64::from(beams - 1) * if clockwise { -1.0 } else { 1.0 };
             let beams = BeamGeometry::new(-0.5 * view * TAU, increment, beams as usize);
-            let rays = Rays::new(&beams, &Pose2::new(place.x, place.y, yaw));
+            let rays = Rays::new(&beams, &Pose2::new(origin.x, origin.y, yaw));
             let one_by_one: Vec<_> =
                 (0..rays.len()).map(|ray| world.range(rays.origin(), rays.direction(ray), max)).collect();
             prop_assert_eq!(world.ranges(&rays, max), one_by_one);

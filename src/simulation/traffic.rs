@@ -1,4 +1,4 @@
-//! What moves in a simulated world besides the car: people who walk along and across its route, and rival cars that keep it company.
+//! Moving obstacles of a simulated drive: people walking along and across the route, and opponent cars near the car.
 
 use std::f64::consts::TAU;
 
@@ -15,70 +15,71 @@ use super::shapes::Shapes;
 use super::world::World;
 
 knobs! {
-    /// What moves in the simulated world besides the car.
+    /// Moving obstacles of the simulated world.
     pub struct TrafficKnobs {
-        /// People who walk about the route, spread over all of it, and to and fro across it; they step aside for the car.
+        /// Number of people, spread over the route, who walk along and across it; they step aside for the car.
         walkers: u32 = 0, in 0 to 1000;
-        /// Cars that keep within a few metres of the car, the first ahead, the next behind, and so on.
+        /// Number of opponent cars that stay within a few metres of the car: the first ahead, the second behind, and so on.
         rivals: u32 = 0, in 0 to 100;
     }
 }
 
 /// Radius of a person, m.
-const GIRTH: f64 = 0.2;
-/// How far people go from the route, m, where there is room.
-const STROLL: f64 = 1.2;
-/// Nobody comes nearer to the car's rear axle than this, m.
-const KEEP_OFF: f64 = 0.8;
-/// Length and width of a rival car, m.
-const RIVAL: (f64, f64) = (0.5, 0.3);
-/// Distance from the car to the first rival, and from one on the same side to the next, m.
-const RIVAL_GAP: f64 = 1.4;
+const PERSON_RADIUS: f64 = 0.2;
+/// Maximum distance of people from the route, m, where there is room.
+const MAX_PERSON_OFFSET: f64 = 1.2;
+/// Minimum distance of people from the car's rear axle, m.
+const MIN_CAR_DISTANCE: f64 = 0.8;
+/// Length and width of an opponent car, m.
+const OPPONENT_SIZE: (f64, f64) = (0.5, 0.3);
+/// Distance from the car to the first opponent, and between opponents on the same side, m.
+const OPPONENT_GAP: f64 = 1.4;
 
-/// All movers, at any time of a drive.
+/// All moving obstacles of a drive.
 #[derive(Clone, Debug, Default)]
 pub struct Traffic {
     walkers: Vec<Walker>,
-    rivals: Vec<Rival>,
+    opponents: Vec<Opponent>,
     lane: Lane,
-    /// How far the car is along the lane, m, laps added up, and where it is, at each tick.
+    /// Distance of the car along the lane over all laps, m, and its position, at each tick.
     car: Vec<(f64, Point)>,
 }
 
 #[derive(Clone, Debug)]
 struct Walker {
-    /// Place along the lane at the start, m.
+    /// Arc length on the lane at the start, m.
     start: f64,
-    /// Along the lane, m/s.
+    /// Speed along the lane, m/s.
     speed: f64,
-    crossing: Swing,
+    /// Lateral motion across the lane.
+    crossing: Oscillation,
 }
 
 #[derive(Clone, Debug)]
-struct Rival {
+struct Opponent {
     /// Mean distance ahead of the car, m.
     gap: f64,
-    /// About the mean distance.
-    surge: Swing,
-    /// To the side.
-    weave: Swing,
+    /// Variation of the distance.
+    surge: Oscillation,
+    /// Lateral motion.
+    weave: Oscillation,
 }
 
-/// A to and fro.
+/// A sinusoidal motion.
 #[derive(Clone, Debug)]
-struct Swing {
-    size: f64,
+struct Oscillation {
+    amplitude: f64,
     frequency: f64,
     phase: f64,
 }
 
-impl Swing {
-    fn new(size: f64, seconds: f64, random: &mut Pcg64) -> Self {
-        Self { size, frequency: seconds.recip(), phase: random.random_range(0.0..TAU) }
+impl Oscillation {
+    fn new(amplitude: f64, period: f64, random: &mut Pcg64) -> Self {
+        Self { amplitude, frequency: period.recip(), phase: random.random_range(0.0..TAU) }
     }
 
     fn at(&self, seconds: f64) -> f64 {
-        self.size * (TAU * self.frequency * seconds + self.phase).sin()
+        self.amplitude * (TAU * self.frequency * seconds + self.phase).sin()
     }
 }
 
@@ -91,61 +92,61 @@ impl Traffic {
         let walkers = (0..knobs.walkers).map(|_| {
             let start = random.random_range(0.0..route.length());
             let speed = random.random_range(0.5..1.6) * if random.random() { 1.0 } else { -1.0 };
-            let seconds = random.random_range(6.0..12.0);
-            Walker { start, speed, crossing: Swing::new(STROLL, seconds, &mut random) }
+            let period = random.random_range(6.0..12.0);
+            Walker { start, speed, crossing: Oscillation::new(MAX_PERSON_OFFSET, period, &mut random) }
         });
         let walkers = walkers.collect();
-        let rivals = (0..knobs.rivals).map(|rival| {
-            let gap = RIVAL_GAP * f64::from(rival / 2 + 1);
-            let gap = if rival % 2 == 0 { gap } else { -gap };
-            let seconds = random.random_range(4.0..10.0);
-            let surge = Swing::new(0.2 * RIVAL_GAP, seconds, &mut random);
-            Rival { gap, surge, weave: Swing::new(0.3, 0.7 * seconds, &mut random) }
+        let opponents = (0..knobs.rivals).map(|opponent| {
+            let gap = OPPONENT_GAP * f64::from(opponent / 2 + 1);
+            let gap = if opponent % 2 == 0 { gap } else { -gap };
+            let period = random.random_range(4.0..10.0);
+            let surge = Oscillation::new(0.2 * OPPONENT_GAP, period, &mut random);
+            Opponent { gap, surge, weave: Oscillation::new(0.3, 0.7 * period, &mut random) }
         });
-        let rivals = rivals.collect();
+        let opponents = opponents.collect();
         let lane = Lane::new(route, world);
-        Self { walkers, rivals, car: lane.follow(motion), lane }
+        Self { walkers, opponents, car: lane.follow(motion), lane }
     }
 
-    /// The world as it is `seconds` after the start of the drive.
-    pub fn at<'a>(&self, world: &'a dyn World, seconds: f64) -> Moment<'a> {
-        let Some((progress, car)) = self.car_at(seconds) else { return Moment { world, movers: Shapes::default() } };
+    /// The world with the traffic `seconds` after the start of the drive.
+    pub fn at<'a>(&self, world: &'a dyn World, seconds: f64) -> Snapshot<'a> {
+        let Some((progress, car)) = self.car_at(seconds) else { return Snapshot { world, movers: Shapes::default() } };
         let movers = self.walkers.iter().fold(Shapes::default(), |movers, walker| {
-            let place = self.lane.at(walker.start + walker.speed * seconds, walker.crossing.at(seconds), GIRTH);
-            movers.pillar(car + aside(place.translation() - car), GIRTH)
+            let pose = self.lane.at(walker.start + walker.speed * seconds, walker.crossing.at(seconds), PERSON_RADIUS);
+            movers.pillar(car + step_aside(pose.translation() - car), PERSON_RADIUS)
         });
-        let movers = self.rivals.iter().fold(movers, |movers, rival| {
-            let along = progress + rival.gap + rival.surge.at(seconds);
-            let place = self.lane.at(along, rival.weave.at(seconds), RIVAL.1);
-            movers.block(&place.transform(), RIVAL.0, RIVAL.1)
+        let movers = self.opponents.iter().fold(movers, |movers, opponent| {
+            let along = progress + opponent.gap + opponent.surge.at(seconds);
+            let pose = self.lane.at(along, opponent.weave.at(seconds), OPPONENT_SIZE.1);
+            movers.block(&pose.transform(), OPPONENT_SIZE.0, OPPONENT_SIZE.1)
         });
-        Moment { world, movers }
+        Snapshot { world, movers }
     }
 
-    /// `None` when there is no traffic.
+    /// Distance of the car along the lane and its position at a time; `None` without traffic.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // clamped to the drive
     fn car_at(&self, seconds: f64) -> Option<(f64, Point)> {
         let tick = ((seconds / TICK) as usize).min(self.car.len().checked_sub(1)?);
         let next = self.car.get(tick + 1).unwrap_or(&self.car[tick]);
         let fraction = seconds / TICK - tick as f64;
-        let (progress, place) = self.car[tick];
-        Some((progress + fraction * (next.0 - progress), place + fraction * (next.1 - place)))
+        let (progress, position) = self.car[tick];
+        Some((progress + fraction * (next.0 - progress), position + fraction * (next.1 - position)))
     }
 }
 
-/// The way from the car to someone who steps aside for it.
-fn aside(way: Point) -> Point {
-    let distance = way.norm();
-    if distance < KEEP_OFF && distance > 0.0 { way * (KEEP_OFF / distance) } else { way }
+/// Keeps a person away from the car: limits the vector from the car to the person to at least [`MIN_CAR_DISTANCE`].
+fn step_aside(offset: Point) -> Point {
+    let distance = offset.norm();
+    if distance < MIN_CAR_DISTANCE && distance > 0.0 { offset * (MIN_CAR_DISTANCE / distance) } else { offset }
 }
 
-/// The walls and the traffic of one moment.
-pub struct Moment<'a> {
+/// The walls and the traffic at one time.
+pub struct Snapshot<'a> {
     world: &'a dyn World,
     movers: Shapes,
 }
 
-impl World for Moment<'_> {
+impl World for Snapshot<'_> {
     fn range(&self, origin: Point, direction: Point, max: f64) -> Option<f64> {
         let ranges = [self.movers.range(origin, direction, max), self.world.range(origin, direction, max)];
         ranges.into_iter().flatten().min_by(f64::total_cmp)
@@ -161,38 +162,38 @@ impl World for Moment<'_> {
     }
 }
 
-/// A route as movers see it.
+/// The route with headings and clearances, along which people and cars move.
 #[derive(Clone, Debug, Default)]
 struct Lane {
-    /// Points of the route with their headings, the last one followed by the first, and the room to the walls there.
-    places: Vec<(Pose2, f64)>,
+    /// Poses on the closed route, and the clearance at each, m.
+    samples: Vec<(Pose2, f64)>,
     spacing: f64,
 }
 
 impl Lane {
     fn new(route: &Route, world: &dyn World) -> Self {
         let count = route.points().len();
-        let place = |i: usize| {
+        let sample = |i: usize| {
             let (here, along) = (route.point(i), route.point(i + 1) - route.point(i + count - 1));
             (Pose2::new(here.x, here.y, along.y.atan2(along.x)), world.clearance(here))
         };
-        Self { places: (0..count).map(place).collect(), spacing: route.spacing() }
+        Self { samples: (0..count).map(sample).collect(), spacing: route.spacing() }
     }
 
-    /// The place so far along the lane, `aside` to its left as far as there is room for something of a radius.
+    /// The pose at an arc length on the lane, shifted to the left by `lateral` as far as an obstacle of this radius fits.
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // the remainder is an index
-    fn at(&self, along: f64, aside: f64, radius: f64) -> Pose2 {
-        let steps = (along / self.spacing).rem_euclid(self.places.len() as f64);
-        let (index, fraction) = (steps as usize % self.places.len(), steps.fract());
-        let ((here, room), (next, room_there)) = (self.places[index], self.places[(index + 1) % self.places.len()]);
+    fn at(&self, along: f64, lateral: f64, radius: f64) -> Pose2 {
+        let steps = (along / self.spacing).rem_euclid(self.samples.len() as f64);
+        let (index, fraction) = (steps as usize % self.samples.len(), steps.fract());
+        let ((here, clearance), (next, next_clearance)) = (self.samples[index], self.samples[(index + 1) % self.samples.len()]);
         let middle = here.interpolate(&next, fraction);
-        let free = (room + fraction * (room_there - room) - radius).max(0.0);
-        middle * Pose2::new(0.0, aside.clamp(-free, free), 0.0)
+        let free = (clearance + fraction * (next_clearance - clearance) - radius).max(0.0);
+        middle * Pose2::new(0.0, lateral.clamp(-free, free), 0.0)
     }
 
-    /// How far along the lane a drive is, and where, at each tick.
+    /// Distance along the lane and position at each tick of a drive.
     fn follow(&self, motion: &Motion) -> Vec<(f64, Point)> {
-        let point = |index: usize| self.places[index % self.places.len()].0.translation();
+        let point = |index: usize| self.samples[index % self.samples.len()].0.translation();
         let mut index = 0;
         motion
             .ticks()

@@ -1,58 +1,63 @@
-//! How the stamps of scans go on: forward; back where a scan was late, where a clock has been set while the robot drives on, or where a
-//! run starts again.
+//! Continuity of scan stamps. Normally stamps increase. They go back if a scan arrives out of order, if the clock was set back
+//! while the robot drives on, or if a new run starts, such as a bag played in a loop.
 
 use super::Stamp;
 
-/// Scans that are late go on being so for less than this, s.
-const LATEST: f64 = 1.0;
-/// A run that starts again begins where it began, give or take the messages that were lost there, s.
-const BEGINNING: f64 = 0.5;
+/// Out-of-order scans keep arriving for less than this, and a new run starts more than this before the last scan, s.
+const MAX_LATENESS: f64 = 1.0;
+/// A new run starts within this time of the start of the previous run, s; messages may have been lost there.
+const MAX_START_OFFSET: f64 = 0.5;
 
-/// What a stamp is to the one before.
+/// How a stamp follows the previous one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// Later.
+    /// Later than the previous stamp.
     Forward,
-    /// The same.
+    /// Equal to the previous stamp.
     Same,
-    /// Earlier: a scan out of order, unless the next one goes on from there.
+    /// Earlier: a scan out of order, unless the next scan continues from there.
     Late,
-    /// One of several in order, all of an earlier time: somebody has set the clock, and the robot drives on.
+    /// One of several scans in order with earlier stamps: the clock has been set back, and the robot drives on.
     SetBack {
-        /// When the last scan was taken, by the new time: as long before the first scan of it as they are apart.
+        /// Stamp of the last scan by the new clock, extrapolated back from the first scans by that clock.
         last: Stamp,
     },
-    /// The first of a run that starts again, as a bag played in a loop does.
+    /// First scan of a new run, for example of a bag played in a loop.
     NewRun,
 }
 
-/// The stamps of a run.
+/// Checks the continuity of the stamps of a run.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Continuity {
-    /// When the run began.
+    /// Stamp of the start of the run.
     first: Option<Stamp>,
+    /// Scans since the stamps went back.
     late: Option<LateScans>,
-    /// When time went back in the odometry, whether its pose stayed where it was.
+    /// Set when the stamps of the odometry went back: whether its pose remained continuous.
     drives_on: Option<bool>,
 }
 
-/// Scans in order, each from before the scan used last.
+/// Scans in order, each with a stamp before that of the last scan used.
 #[derive(Clone, Copy, Debug)]
 struct LateScans {
     first: Stamp,
     newest: Stamp,
-    /// How many came after the first.
-    more: u32,
+    /// Number of scans after the first.
+    count_after_first: u32,
 }
 
 impl LateScans {
-    /// With one more; alone, where that is from before the others.
-    fn and(self, stamp: Stamp) -> Self {
-        if stamp > self.newest { Self { newest: stamp, more: self.more + 1, ..self } } else { Self::of(stamp) }
+    /// Adds a scan, or restarts with it if its stamp is before that of the newest.
+    fn with(self, stamp: Stamp) -> Self {
+        if stamp > self.newest {
+            Self { newest: stamp, count_after_first: self.count_after_first + 1, ..self }
+        } else {
+            Self::starting_at(stamp)
+        }
     }
 
-    fn of(stamp: Stamp) -> Self {
-        Self { first: stamp, newest: stamp, more: 0 }
+    fn starting_at(stamp: Stamp) -> Self {
+        Self { first: stamp, newest: stamp, count_after_first: 0 }
     }
 
     fn seconds(self) -> f64 {
@@ -61,12 +66,12 @@ impl LateScans {
 }
 
 impl Continuity {
-    /// Takes note that time has gone back in the odometry. `drives_on`: the robot is where it was.
+    /// Records that the stamps of the odometry have gone back. `drives_on`: the pose of the odometry remained continuous.
     pub fn odometry_went_back(&mut self, drives_on: bool) {
         self.drives_on = Some(drives_on);
     }
 
-    /// What `stamp` is to `last`, which is that of the scan used last. `odometry`: the stamp of the newest odometry.
+    /// Classifies `stamp`. `last`: stamp of the last scan used; `odometry`: stamp of the newest odometry.
     pub fn step(&mut self, stamp: Stamp, last: Stamp, odometry: Option<Stamp>) -> Step {
         let first = *self.first.get_or_insert(last);
         let back = last.seconds_since(stamp);
@@ -77,30 +82,32 @@ impl Continuity {
         if back == 0.0 {
             return Step::Same;
         }
-        let late = self.late.map_or_else(|| LateScans::of(stamp), |late| late.and(stamp));
+        let late = self.late.map_or_else(|| LateScans::starting_at(stamp), |late| late.with(stamp));
         self.late = Some(late);
-        // Odometry that is still of the time before knows of no other; in the end the scans must go on all the same.
-        let odometry_goes_on =
+        // Odometry that still has the old time knows nothing of a new clock. After some time, the scans must be used all the
+        // same.
+        let odometry_has_old_time =
             self.drives_on.is_none() && odometry.is_some_and(|newest| newest.seconds_since(stamp) > 0.5 * back);
-        if odometry_goes_on && late.seconds() < LATEST {
+        if odometry_has_old_time && late.seconds() < MAX_LATENESS {
             return Step::Late;
         }
-        if back > LATEST && self.starts_again(late, first) {
+        if back > MAX_LATENESS && self.is_new_run(late, first) {
             *self = Self::default();
             return Step::NewRun;
         }
-        if late.more == 0 {
+        if late.count_after_first == 0 {
             return Step::Late;
         }
-        let new_last = late.first.offset_by(-late.seconds() / f64::from(late.more));
+        let new_last = late.first.offset_by(-late.seconds() / f64::from(late.count_after_first));
         *self = Self { first: Some(first.offset_by(new_last.seconds_since(last))), ..Self::default() };
         Step::SetBack { last: new_last }
     }
 
-    /// Odometry says it. Without, the time does: it is that of the beginning, or that of simulations which begin at zero.
-    fn starts_again(&self, late: LateScans, first: Stamp) -> bool {
-        let since_beginning = late.newest.seconds_since(first);
-        let by_time = since_beginning.abs() < BEGINNING || (since_beginning < 0.0 && late.more > 0);
+    /// Whether a new run has started. If the stamps of the odometry have gone back, its pose decides. Otherwise the stamps
+    /// decide: they are near the start of the run, or before it, as in simulations whose clocks start at zero.
+    fn is_new_run(&self, late: LateScans, first: Stamp) -> bool {
+        let since_start = late.newest.seconds_since(first);
+        let by_time = since_start.abs() < MAX_START_OFFSET || (since_start < 0.0 && late.count_after_first > 0);
         self.drives_on.map_or(by_time, |drives_on| !drives_on)
     }
 }
@@ -113,10 +120,11 @@ mod tests {
         Stamp::from_seconds(seconds)
     }
 
-    /// What becomes of scans of these stamps, s, after ten seconds at 10 Hz. `went_back`: what odometry says when time goes back in it.
+    /// Classifies scans with these stamps, s, that follow ten seconds of scans at 10 Hz. `went_back`: whether the odometry
+    /// remained continuous, if its stamps went back.
     fn steps(continuity: &mut Continuity, went_back: Option<bool>, odometry: Option<f64>, stamps: &[f64]) -> Vec<Step> {
         let mut last = at(0.0);
-        let mut take = |continuity: &mut Continuity, stamp: f64| {
+        let mut classify = |continuity: &mut Continuity, stamp: f64| {
             let step = continuity.step(at(stamp), last, odometry.map(at));
             match step {
                 Step::Forward | Step::NewRun | Step::SetBack { .. } => last = at(stamp),
@@ -124,11 +132,11 @@ mod tests {
             }
             step
         };
-        assert!((1..=100).all(|i| take(continuity, f64::from(i) * 0.1) == Step::Forward));
+        assert!((1..=100).all(|i| classify(continuity, f64::from(i) * 0.1) == Step::Forward));
         if let Some(drives_on) = went_back {
             continuity.odometry_went_back(drives_on);
         }
-        stamps.iter().map(|&stamp| take(continuity, stamp)).collect()
+        stamps.iter().map(|&stamp| classify(continuity, stamp)).collect()
     }
 
     fn alone(stamps: &[f64]) -> Vec<Step> {
@@ -136,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn one_scan_is_late_and_two_in_order_are_a_clock_that_was_set() {
+    fn one_earlier_scan_is_late_and_two_in_order_mean_that_the_clock_was_set() {
         assert_eq!(alone(&[9.9, 10.1, 10.1]), [Step::Late, Step::Forward, Step::Same]);
         for back in [0.3, 0.9, 1.5, 6.0] {
             let set_back = Step::SetBack { last: at(10.0 - back) };
@@ -146,25 +154,25 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_starts_again_does_so_at_its_beginning() {
+    fn a_new_run_starts_near_the_start_of_the_previous_one() {
         assert_eq!(alone(&[0.2, 0.3]), [Step::NewRun, Step::Forward]);
-        assert_eq!(alone(&[-50.0, -49.9]), [Step::Late, Step::NewRun], "a simulation anew");
-        assert_eq!(alone(&[-50.0, 10.1]), [Step::Late, Step::Forward], "a stamp of nothing");
+        assert_eq!(alone(&[-50.0, -49.9]), [Step::Late, Step::NewRun], "a restarted simulation");
+        assert_eq!(alone(&[-50.0, 10.1]), [Step::Late, Step::Forward], "a single wrong stamp");
         let mut set_twice = Continuity::default();
         steps(&mut set_twice, None, None, &[7.1, 7.2]);
-        assert_eq!(set_twice.step(at(-2.9), at(7.2), None), Step::NewRun, "by the new time it began at -3 s");
+        assert_eq!(set_twice.step(at(-2.9), at(7.2), None), Step::NewRun, "by the new clock, the run started at -3 s");
     }
 
     #[test]
-    fn odometry_knows_better() {
-        let told = |drives_on, stamps| steps(&mut Continuity::default(), Some(drives_on), Some(0.1), stamps);
-        assert_eq!(told(true, &[0.2, 0.3]), [Step::Late, Step::SetBack { last: at(0.1) }]);
-        assert_eq!(told(false, &[5.0]), [Step::NewRun]);
-        // The odometry is of the time before: scans are late, in whatever order and number, but not for ever.
-        let untold = |stamps: &[f64]| steps(&mut Continuity::default(), None, Some(10.0), stamps);
-        let late = untold(&[9.4, 9.5, 0.0, 0.1, 10.1]);
+    fn odometry_takes_precedence_over_the_stamps() {
+        let with_jump = |drives_on, stamps| steps(&mut Continuity::default(), Some(drives_on), Some(0.1), stamps);
+        assert_eq!(with_jump(true, &[0.2, 0.3]), [Step::Late, Step::SetBack { last: at(0.1) }]);
+        assert_eq!(with_jump(false, &[5.0]), [Step::NewRun]);
+        // The odometry has the old time: scans are late, in whatever order and number, but not forever.
+        let without_jump = |stamps: &[f64]| steps(&mut Continuity::default(), None, Some(10.0), stamps);
+        let late = without_jump(&[9.4, 9.5, 0.0, 0.1, 10.1]);
         assert_eq!(late, [Step::Late, Step::Late, Step::Late, Step::Late, Step::Forward]);
-        let waited = untold(&(0..14).map(|i| 5.0 + f64::from(i) * 0.1).collect::<Vec<_>>());
-        assert!(waited.iter().filter(|step| matches!(step, Step::SetBack { .. })).count() == 1, "{waited:?}");
+        let late_for_long = without_jump(&(0..14).map(|i| 5.0 + f64::from(i) * 0.1).collect::<Vec<_>>());
+        assert!(late_for_long.iter().filter(|step| matches!(step, Step::SetBack { .. })).count() == 1, "{late_for_long:?}");
     }
 }

@@ -1,11 +1,11 @@
-//! A drive through a room, as a bag; and what was recorded of its matching.
+//! A drive through a room as a bag, and the recorded outputs of matching it.
 
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
 use anytime_scan_matcher::anytime::clock::MonotonicClock;
-use anytime_scan_matcher::app::{Answering as _, App, planar_pose};
+use anytime_scan_matcher::app::{App, ScanProcessor as _, planar_pose};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
@@ -28,10 +28,11 @@ use speedy::{Readable, Writable};
 
 use super::{Laser, room_range};
 
-/// The node's outputs, and what they are about.
+/// The topics to record: the scans and the node's outputs.
 pub const TOPICS: [&str; 5] = ["/scan", "/scan_match_location", "/icp_state", "/icp_report", "/tf"];
-/// Place of the laser on the base, as the drives have it, and as a parameter.
+/// Pose of the laser on the base in the drives.
 pub const LASER_IN_BASE: Pose2 = Pose2 { x: 0.1, y: 0.0, theta: 0.0 };
+/// The same as a parameter.
 pub const MOUNT: &str = "_odometry/laser_in_base:=[0.1, 0, 0]";
 const START: u32 = 1_700_000_000;
 pub const PERIOD: f64 = 0.025;
@@ -40,12 +41,12 @@ pub fn at(seconds: f64) -> Stamp {
     Stamp::from_ros(START, 0).offset_by(seconds)
 }
 
-/// Where the drive begins in the room.
+/// The start pose of the drive in the room.
 pub fn room_from_odom() -> Pose2 {
     Pose2::new(-1.0, -1.0, 0.3)
 }
 
-/// On a circle, starting at the origin.
+/// The true pose of the base, on a circle that starts at the origin.
 pub fn base_pose(seconds: f64) -> Pose2 {
     let (radius, angle) = (1.2, 0.4 * seconds);
     Pose2::new(radius * angle.sin(), radius * (1.0 - angle.cos()), angle)
@@ -83,7 +84,7 @@ pub fn scan(number: u32, seconds: f64, laser: Laser) -> LaserScan {
     }
 }
 
-/// Wheels that roll 2 % too far.
+/// Wheel odometry that is 2 % too long.
 pub fn odometry(seconds: f64) -> Odometry {
     let truth = base_pose(seconds);
     let mut message = Odometry { header: header(seconds, "odom"), child_frame_id: "base_link".into(), ..Odometry::default() };
@@ -91,7 +92,7 @@ pub fn odometry(seconds: f64) -> Odometry {
     message
 }
 
-/// Writes a bag with `scans` scans at 40 Hz, each some time after the odometry of its stamp, and whatever `extra` adds.
+/// Writes a bag with `scans` scans at 40 Hz, each some time after the odometry of its stamp, and the messages of `extra`.
 pub fn write(path: &Path, scans: u32, extra: impl FnOnce(&mut BagWriter)) {
     write_with_beams(path, scans, 541, extra);
 }
@@ -108,7 +109,7 @@ pub fn write_with_beams(path: &Path, scans: u32, beams: usize, extra: impl FnOnc
     writer.finish().unwrap();
 }
 
-/// Writes the bag of a simulated car's drive through a room: 1081 beams with noise, at 40 Hz. The number of scans.
+/// Writes the bag of a simulated drive through a room: 1081 beams with noise, at 40 Hz. Returns the number of scans.
 pub fn simulate(path: &Path, seconds: f64) -> usize {
     let mut settings = Settings::default();
     settings.drive.duration = Seconds(seconds);
@@ -117,7 +118,7 @@ pub fn simulate(path: &Path, seconds: f64) -> usize {
     record(&settings, &scene, bag, TumWriter::new(std::io::sink())).unwrap().try_into().unwrap()
 }
 
-/// The poses that the application gives for a bag, message by message.
+/// The poses that the application estimates for a bag, message by message.
 pub fn offline(path: &Path) -> HashMap<Stamp, Pose2> {
     let mut config = Config::default();
     config.odometry.laser_in_base = Some(LASER_IN_BASE.into());
@@ -135,7 +136,7 @@ pub fn offline(path: &Path) -> HashMap<Stamp, Pose2> {
     poses
 }
 
-/// What a recorder heard.
+/// The recorded messages.
 pub struct Recording {
     pub poses: HashMap<Stamp, Pose2>,
     pub reports: Vec<MatchReport>,
@@ -147,7 +148,7 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Of topics below this namespace ("" or "/name").
+    /// Reads the topics below this namespace ("" or "/name").
     pub fn read(path: &Path, namespace: &str) -> Self {
         let mut recording = Self {
             poses: HashMap::new(),
@@ -181,13 +182,13 @@ impl Recording {
         recording
     }
 
-    /// Answers and drops by the last report.
+    /// The number of answered and dropped scans by the last report.
     pub fn accounted_for(&self) -> usize {
         self.reports.len() + self.reports.last().map_or(0, |report| report.dropped as usize)
     }
 
-    /// Checks that every scan from the first to the last answer is answered or counted as dropped; what went over the wire before and
-    /// after, while links came and went, nobody can tell. A drive has `scans`.
+    /// Checks that every scan from the first to the last answer is answered or counted as dropped. Scans before and after are unknown, because
+    /// connections come and go. The drive has `scans` scans.
     pub fn check_accounts(&self, scans: usize) {
         let stamps: Vec<f64> = self.timed_reports().map(|(seconds, _)| seconds).collect();
         let (Some(first), Some(last)) = (stamps.first(), stamps.last()) else { panic!("no answers") };
@@ -198,14 +199,14 @@ impl Recording {
         assert!(between * 10 >= scans * 9, "only {between} of {scans}");
     }
 
-    /// Checks that every answer made one report, one pose and one edge.
+    /// Checks that every answer has one report, one pose and one edge.
     pub fn check_consistency(&self) {
         assert_eq!(self.states.len(), self.reports.len());
         assert_eq!(self.poses.len(), self.reports.len());
         assert!(self.states.iter().zip(self.states.iter().skip(1)).all(|(a, b)| a + b == 1), "every message must be an edge");
     }
 
-    /// Seconds into the drive, and the report.
+    /// The reports, with their time in the drive, s.
     pub fn timed_reports(&self) -> impl Iterator<Item = (f64, &MatchReport)> {
         let seconds =
             |report: &MatchReport| Stamp::from_ros(report.header.stamp.sec, report.header.stamp.nsec).seconds_since(at(0.0));
@@ -213,7 +214,7 @@ impl Recording {
     }
 }
 
-/// A scan that announces four thousand million ranges and has none.
+/// A scan that announces four billion ranges and has none.
 #[derive(Readable, Writable)]
 pub struct EndlessScan {
     pub header: Header,

@@ -1,5 +1,5 @@
-//! A ROS graph of its own for each test: a master on a free port, and everything the test starts ended when it is over. Tests that
-//! wait for what others do run beside each other; those that measure times, or drive fast, have the machine for themselves.
+//! A separate ROS graph for each test: a master on a free port, and everything that the test starts is ended with it. Tests that
+//! mostly wait run in parallel; those that measure times, or drive fast, have the machine to themselves.
 
 use std::fs::{self, File};
 use std::io::{Read, Write};
@@ -25,12 +25,12 @@ const PROGRAMS: [&str; 6] = [
     env!("CARGO_BIN_EXE_contract_demo"),
     env!("CARGO_BIN_EXE_racecar_sim"),
 ];
-/// For whatever should happen soon; a loaded machine may take its time.
-pub const PATIENCE: Duration = Duration::from_secs(20);
+/// Timeout for anything that should happen soon; long because the machine may be loaded.
+pub const TIMEOUT: Duration = Duration::from_secs(20);
 
-/// Waits until `condition` holds; whether it came to hold.
+/// Waits until `condition` holds; `false` if it times out.
 pub fn eventually(condition: impl FnMut() -> bool) -> bool {
-    within(PATIENCE, condition)
+    within(TIMEOUT, condition)
 }
 
 pub fn within(time: Duration, mut condition: impl FnMut() -> bool) -> bool {
@@ -44,7 +44,7 @@ pub fn within(time: Duration, mut condition: impl FnMut() -> bool) -> bool {
     true
 }
 
-/// Whether `program` is there. Where it must be (in CI) its absence is a failure, elsewhere it is said loudly.
+/// Whether `program` is installed. In CI its absence is a failure; elsewhere the test is reported as skipped.
 pub fn installed(program: &str) -> bool {
     let found = std::env::var_os("PATH").is_some_and(|path| std::env::split_paths(&path).any(|dir| dir.join(program).is_file()));
     if !found {
@@ -54,10 +54,10 @@ pub fn installed(program: &str) -> bool {
     found
 }
 
-/// The tests of this program share the machine, but for those that measure times or drive fast.
+/// The tests of this program share the machine, except those that measure times or drive fast.
 static MACHINE: RwLock<()> = RwLock::new(());
 
-/// What a test has of the machine.
+/// A test's share of the machine.
 enum Turn {
     Beside { _others: RwLockReadGuard<'static, ()> },
     Alone { _machine: RwLockWriteGuard<'static, ()> },
@@ -73,13 +73,13 @@ impl Turn {
     }
 }
 
-/// A port that nobody listens on. It is none of those that the system hands out by itself (from 32768 on), so that nobody else gets it
+/// A port that nobody listens on. It is outside the range that the system assigns by itself (from 32768 on), so that nobody else gets it
 /// while a master is down.
 fn free_port() -> u16 {
     const FIRST: u32 = 20_000;
     const PORTS: u32 = 10_000;
     static TAKEN: AtomicU32 = AtomicU32::new(0);
-    // Test programs that run at the same time begin apart.
+    // Test programs that run at the same time start at different ports.
     let begin = std::process::id().wrapping_mul(997);
     let ports = (0..PORTS).map(|_| FIRST + begin.wrapping_add(TAKEN.fetch_add(1, Ordering::Relaxed)) % PORTS);
     let mut ports = ports.map(|port| u16::try_from(port).unwrap());
@@ -90,12 +90,12 @@ pub struct Graph {
     pub dir: TempDir,
     port: u16,
     master: Option<Process>,
-    // Last: it goes when all else has ended.
+    // Last: it is dropped when everything else has ended.
     _turn: Turn,
 }
 
 impl Graph {
-    /// Without a master. `None` where ROS is not installed.
+    /// A graph without a master. `None` if ROS is not installed.
     pub fn without_master() -> Option<Self> {
         Self::new(Turn::beside_others)
     }
@@ -104,7 +104,7 @@ impl Graph {
         Self::without_master().map(Self::with_master)
     }
 
-    /// With the machine for itself: for tests that measure times or drive fast.
+    /// Without a master, and with the machine to itself: for tests that measure times or drive fast.
     pub fn alone_without_master() -> Option<Self> {
         Self::new(Turn::alone)
     }
@@ -127,7 +127,7 @@ impl Graph {
         Some(Self { dir: TempDir::new().unwrap(), port: free_port(), master: None, _turn: turn })
     }
 
-    /// roscore's master; roscore itself would start it in a session of its own, where it outlives a test that fails.
+    /// Starts roscore's master; roscore itself would start it in a new session, where it outlives a failing test.
     pub fn start_master(&mut self) {
         let port = self.port.to_string();
         self.master = Some(self.spawn("rosmaster", &["--core", "-p", &port]));
@@ -139,12 +139,12 @@ impl Graph {
         self.master = None;
     }
 
-    /// A command with the environment of this graph, and nothing of the one that cargo set up for the build.
+    /// A command with the environment of this graph, without the variables that cargo sets for the build.
     pub fn command(&self, program: impl AsRef<std::ffi::OsStr>) -> Command {
         let mut command = Command::new(program);
         command
             .current_dir(self.dir.path())
-            .env("PWD", self.dir.path()) // catkin_make goes by this
+            .env("PWD", self.dir.path()) // catkin_make uses this
             .env_remove("ROSRUST_MSG_PATH")
             .env_remove("CMAKE_PREFIX_PATH")
             .env_remove("ROS_NAMESPACE")
@@ -171,12 +171,12 @@ impl Graph {
         String::from_utf8(output.stdout).unwrap()
     }
 
-    /// A launch file of this package, with a target directory whose release build are the programs under test.
+    /// Runs a launch file of this package, with a target directory whose release build contains the programs under test.
     pub fn launch(&self, file: &str, arguments: &[&str]) -> Process {
         self.launch_with(file, arguments, &[])
     }
 
-    /// The same, with more variables of the environment.
+    /// The same, with additional environment variables.
     pub fn launch_with(&self, file: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Process {
         let release = self.dir.path().join("target/release");
         fs::create_dir_all(&release).unwrap();
@@ -192,15 +192,15 @@ impl Graph {
         Process::spawn(command, self.dir.path())
     }
 
-    /// The node, without waiting for anything.
+    /// Starts the node without waiting.
     pub fn spawn_node(&self, arguments: &[&str]) -> Process {
         self.spawn(NODE, arguments)
     }
 
-    /// The node, ready.
+    /// Starts the node and waits until it is ready.
     pub fn node(&self, arguments: &[&str]) -> Process {
         let node = self.spawn_node(arguments);
-        node.expect_log("matches ");
+        node.expect_log("; poses on ");
         node
     }
 
@@ -209,18 +209,18 @@ impl Graph {
         let mut arguments = vec!["record", "-O", "recorded.bag"];
         arguments.extend(topics);
         let links = || self.master_state().matches("/record_").count();
-        let before = links(); // of one that ended without a word to the master
+        let before = links(); // of one that ended without unregistering from the master
         let recorder = self.spawn("rosbag", &arguments);
         assert!(eventually(|| links() >= before + topics.len()), "{}", recorder.log());
         recorder
     }
 
-    /// Who publishes, subscribes and serves what: the master's own answer, in XML.
+    /// Publishers, subscribers and services: the master's answer, in XML.
     pub fn master_state(&self) -> String {
         self.call_master("getSystemState", &["/test"])
     }
 
-    /// Where a node answers.
+    /// The address of a node's XML-RPC server.
     pub fn node_address(&self, node: &str) -> String {
         let answer = self.call_master("lookupNode", &["/test", node]);
         answer.split("http://").nth(1).unwrap().split('/').next().unwrap().into()
@@ -242,36 +242,36 @@ impl Graph {
         call(&self.master_address(), method, &values)
     }
 
-    /// The bag with what has been recorded.
+    /// Ends a recording and returns its bag.
     pub fn finish_recording(&self, mut recorder: Process) -> PathBuf {
-        std::thread::sleep(Duration::from_millis(500)); // what is still on its way
-        // `rosbag record` is a script around the recorder, and ends before that has closed its file, which then has its name.
+        std::thread::sleep(Duration::from_millis(500)); // for messages still in transit
+        // `rosbag record` is a script around the recorder, and ends before the recorder has closed its file and given it its final name.
         recorder.signal_group("INT");
         let recorded = self.dir.path().join("recorded.bag");
-        assert!(recorder.exit_code(PATIENCE).is_some() && eventually(|| recorded.exists()), "{}", recorder.log());
-        // Out of the way of the next one.
+        assert!(recorder.exit_code(TIMEOUT).is_some() && eventually(|| recorded.exists()), "{}", recorder.log());
+        // Rename it, so that the next recording can use the name.
         let bag = tempfile::Builder::new().suffix(".bag").tempfile_in(self.dir.path()).unwrap().keep().unwrap().1;
         fs::rename(recorded, &bag).unwrap();
         bag
     }
 
-    /// Calls a `std_srvs/Trigger` that succeeds; its message.
+    /// Calls a `std_srvs/Trigger` that must succeed; returns its message.
     pub fn trigger(&self, service: &str) -> String {
         let (success, message) = self.call(service);
         assert!(success, "{message}");
         message
     }
 
-    /// Calls a `std_srvs/Trigger`: its Python types need not be installed, so this speaks TCPROS by itself.
+    /// Calls a `std_srvs/Trigger` by TCPROS directly, because its Python types may not be installed.
     pub fn call(&self, service: &str) -> (bool, String) {
         let answer = self.request(service, "std_srvs/Trigger", "937c9679a518e3a18d831e57125ea522", &[]);
         (answer[0] == 1, String::from_utf8(answer[5..].to_vec()).unwrap())
     }
 
-    /// The wire form of what a service answers to a request.
+    /// The serialised response of a service to a request.
     pub fn request(&self, service: &str, service_type: &str, md5: &str, request: &[u8]) -> Vec<u8> {
         let mut stream = TcpStream::connect(self.service_address(service)).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(TIMEOUT)).unwrap();
         let field = |text: String| [u32::try_from(text.len()).unwrap().to_le_bytes().to_vec(), text.into_bytes()].concat();
         let header = [
             field(format!("service={service}")),
@@ -312,7 +312,7 @@ pub fn call(address: &str, method: &str, values: &[String]) -> String {
     answer
 }
 
-/// A process in a group of its own, which ends with it.
+/// A process in its own process group, which is ended with it.
 pub struct Process {
     child: Child,
     log: PathBuf,
@@ -326,13 +326,13 @@ impl Process {
         Self { child: command.spawn().unwrap(), log }
     }
 
-    /// What it has printed so far.
+    /// Its output so far.
     pub fn log(&self) -> String {
         String::from_utf8_lossy(&fs::read(&self.log).unwrap()).into_owned()
     }
 
     pub fn expect_log(&self, text: &str) {
-        assert!(eventually(|| self.log().contains(text)), "'{text}' is not said in: {}", self.log());
+        assert!(eventually(|| self.log().contains(text)), "'{text}' is missing in: {}", self.log());
     }
 
     pub fn signal(&self, name: &str) {
@@ -351,10 +351,10 @@ impl Process {
         self.child.try_wait().unwrap().is_none()
     }
 
-    /// Its exit code, once it has ended by itself.
-    pub fn exit_code(&mut self, patience: Duration) -> Option<i32> {
+    /// Its exit code, if it ends by itself in time.
+    pub fn exit_code(&mut self, timeout: Duration) -> Option<i32> {
         let mut status = None;
-        within(patience, || {
+        within(timeout, || {
             status = self.child.try_wait().unwrap();
             status.is_some()
         });
@@ -364,10 +364,10 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        // What roslaunch has started is in groups of its own: only roslaunch can end it.
+        // The processes of roslaunch are in their own groups: only roslaunch can end them.
         if self.is_running() {
             self.signal("TERM");
-            self.exit_code(PATIENCE);
+            self.exit_code(TIMEOUT);
         }
         if self.is_running() {
             self.signal_group("KILL");

@@ -1,4 +1,4 @@
-//! What several test programs share.
+//! Code shared by several test programs.
 #![allow(dead_code, unreachable_pub, clippy::unwrap_used, clippy::panic)]
 
 #[cfg(feature = "ros")]
@@ -22,7 +22,7 @@ use anytime_scan_matcher::time::Stamp;
 use rand::RngExt;
 use rand_pcg::Pcg64;
 
-/// A file of the real data that lies beside the checkout. Says loudly when it is not there.
+/// A file of the real data beside the checkout. Reports the test as skipped if it is missing.
 pub fn shared(path: &str) -> Option<PathBuf> {
     let place = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared").join(path);
     if place.exists() {
@@ -75,7 +75,7 @@ pub struct Laser {
 }
 
 impl Laser {
-    /// `degrees` wide, looking forward.
+    /// A laser with a field of view of `degrees`, facing forward.
     pub fn with_field_of_view(degrees: f64, beams: usize) -> Self {
         let width = degrees.to_radians();
         Self { angle_min: -0.5 * width, increment: width / (beams as f64 - 1.0), beams }
@@ -85,7 +85,7 @@ impl Laser {
         Arc::new(BeamGeometry::new(self.angle_min, self.increment, self.beams))
     }
 
-    /// The room seen from `pose`, without noise, as a message of the frame `laser`.
+    /// A scan of the room from `pose`, without noise, as a message in the frame `laser`.
     #[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
     pub fn message(&self, stamp: Stamp, pose: Pose2) -> LaserScan {
         let range = |&direction: &Point| room_range(pose.translation(), pose.transform().rotate(direction)) as f32;
@@ -103,7 +103,7 @@ impl Laser {
         message
     }
 
-    /// The room seen from `pose`, with normal noise (m) and a part of the rays lost.
+    /// A scan of the room from `pose`, with Gaussian range noise (m) and a fraction of the rays lost.
     pub fn scan(&self, pose: Pose2, noise: f64, lost: f64, rng: &mut Pcg64) -> Scan {
         let geometry = self.geometry();
         let ranges: Vec<f64> = geometry

@@ -1,4 +1,4 @@
-//! `rosbag play`, which begins when everybody who listens is connected.
+//! `rosbag play` that starts when all subscribers are connected.
 
 use std::path::Path;
 use std::time::Duration;
@@ -6,22 +6,22 @@ use std::time::Duration;
 use anytime_scan_matcher::io::bag::Bag;
 use serde::de::DeserializeOwned;
 
-use super::graph::{Graph, PATIENCE, Process, eventually, within};
+use super::graph::{Graph, Process, TIMEOUT, eventually, within};
 
 const NAME: &str = "/play";
-/// So long is waited for those who subscribe: whoever expects another type of message is never connected.
-const CONNECTING: Duration = Duration::from_secs(4);
+/// Maximum wait for subscribers: one that expects another message type never connects.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(4);
 
-/// What the master knows of a topic, or a service: its name, and the names of nodes.
+/// The master's registration of a topic or service: its name, and the names of nodes.
 type Named = Vec<(String, Vec<String>)>;
-/// A connection as roscpp tells it: number, the node at the other end, direction, protocol, topic, whether it stands, and words.
+/// A connection as roscpp reports it: number, the node at the other end, direction, protocol, topic, whether it is connected, and text.
 type Connection = (i32, String, String, String, String, bool, String);
 
 impl Graph {
     /// Plays a bag to its end.
     pub fn play(&self, bag: &Path, arguments: &[&str]) {
         let mut player = self.start_playing(bag, arguments);
-        assert_eq!(player.exit_code(6 * PATIENCE), Some(0), "{}", player.log());
+        assert_eq!(player.exit_code(6 * TIMEOUT), Some(0), "{}", player.log());
     }
 
     pub fn start_playing(&self, bag: &Path, arguments: &[&str]) -> Process {
@@ -30,13 +30,13 @@ impl Graph {
         let topics: Vec<String> =
             Bag::open(bag).unwrap().connections().iter().map(|connection| connection.topic.clone()).collect();
         assert!(eventually(|| self.subscribers(&topics).is_some()), "{}", player.log());
-        within(CONNECTING, || self.are_connected(&topics));
-        // Not paused any more.
+        within(CONNECT_TIMEOUT, || self.are_connected(&topics));
+        // Resume playback.
         self.request(&format!("{NAME}/pause_playback"), "std_srvs/SetBool", "09fb03525b03e7ea1fd3992bafd87e16", &[0]);
         player
     }
 
-    /// Topic and name of all who subscribe to what the player publishes. `None` as long as it does not publish all of it.
+    /// Topic and node name of all subscribers of the player's topics. `None` until the player publishes all of them.
     fn subscribers(&self, topics: &[String]) -> Option<Vec<(String, String)>> {
         let (publishers, subscribers, services): (Named, Named, Named) = ask(&self.master_address(), "getSystemState")?;
         let of = |nodes: &Named, topic: &String| nodes.iter().find(|(name, _)| name == topic).map(|(_, nodes)| nodes.clone());
@@ -56,7 +56,7 @@ impl Graph {
     }
 }
 
-/// The value of an answer to a question that needs no arguments.
+/// The value returned by an XML-RPC call without arguments.
 fn ask<T: DeserializeOwned>(address: &str, question: &str) -> Option<T> {
     let url = format!("http://{address}/").parse().unwrap();
     let answer: (i32, String, T) = xml_rpc::call(&url, question, ("/test",)).ok()?.ok()?;

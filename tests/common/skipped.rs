@@ -1,11 +1,11 @@
-//! Tests that check nothing on this machine: said at once, past the test runner's capture of what tests print, and counted at the end
-//! of `cargo test` by `tests/tally.rs`.
+//! Tests that are skipped on this machine. They are reported at once, bypassing the test runner's capture of output, and counted at the
+//! end of `cargo test` by `tests/tally.rs`.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// Says that the test that calls this checks nothing, and why.
+/// Reports that the calling test is skipped, and why.
 pub fn skip(reason: &str) {
     let thread = std::thread::current();
     let test = thread.name().unwrap_or("a test");
@@ -16,7 +16,7 @@ pub fn skip(reason: &str) {
     file.write_all(format!("{test}: {reason}\n").as_bytes()).unwrap();
 }
 
-/// What all test programs of this run of cargo have skipped, a line each. It is forgotten with this.
+/// All tests skipped by the test programs of this run of cargo, one per line. The record is deleted.
 pub fn take_skipped() -> Vec<String> {
     let file = records();
     let text = fs::read_to_string(&file).unwrap_or_default();
@@ -24,7 +24,7 @@ pub fn take_skipped() -> Vec<String> {
     text.lines().map(String::from).collect()
 }
 
-/// One file for each run of cargo, which all its test programs have as their parent.
+/// One file for each run of cargo, identified by the parent process of its test programs.
 fn records() -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join("skipped").join(std::os::unix::process::parent_id().to_string())
 }

@@ -1,4 +1,4 @@
-//! Nodes made of bytes: they can do what no client library would.
+//! Nodes that speak the raw protocol and can do what no client library would.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use anytime_scan_matcher::messages::{self, Message};
 
-use super::graph::{Graph, PATIENCE, call, eventually};
+use super::graph::{Graph, TIMEOUT, call, eventually};
 
-/// What the scan matcher is called.
+/// Name of the scan matcher's node.
 const NODE: &str = "/scan_matcher";
 
-/// A publisher in the master's books that answers whoever asks for its port, and leaves the rest to the test.
+/// A publisher that is registered with the master and answers topic requests with its port; the rest is up to the test.
 pub struct Publisher {
     name: String,
     topic: &'static str,
@@ -41,7 +41,7 @@ impl Publisher {
         graph.call_master("unregisterPublisher", &[&self.name, self.topic, &self.api]);
     }
 
-    /// The next subscriber, whose header is not answered yet.
+    /// Accepts the next subscriber, without answering its header.
     pub fn accept(&self) -> TcpStream {
         let mut stream = None;
         assert!(
@@ -56,12 +56,12 @@ impl Publisher {
         let (mut stream, _) = stream.unwrap();
         stream.set_nonblocking(false).unwrap();
         stream.set_nodelay(true).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(TIMEOUT)).unwrap();
         read_block(&mut stream).unwrap();
         stream
     }
 
-    /// The next subscriber, who may be sent messages.
+    /// Accepts the next subscriber, which is then ready for messages.
     pub fn link(&self) -> TcpStream {
         let mut stream = self.accept();
         let fields = [("callerid", &*self.name), ("type", self.message_type), ("md5sum", self.md5), ("topic", self.topic)];
@@ -70,8 +70,8 @@ impl Publisher {
     }
 }
 
-/// Publishes one message to so many subscribers, once all of them are linked.
-pub fn say<T: Message>(graph: &Graph, topic: &'static str, message: &T, subscribers: usize) {
+/// Publishes one message to this number of subscribers, once all of them are connected.
+pub fn publish<T: Message>(graph: &Graph, topic: &'static str, message: &T, subscribers: usize) {
     let publisher = Publisher::new::<T>(graph, "/speaker", topic);
     let links: Vec<TcpStream> = (0..subscribers).map(|_| publisher.link()).collect();
     for mut link in links {
@@ -80,7 +80,7 @@ pub fn say<T: Message>(graph: &Graph, topic: &'static str, message: &T, subscrib
     publisher.unregister(graph);
 }
 
-/// To every call: here it is published.
+/// Answers every call with the port of the publisher.
 fn answer_requests(api: &TcpListener, port: u16) {
     let body = format!(
         "<?xml version='1.0'?><methodResponse><params><param><value><array><data><value><int>1</int></value><value><string>\
@@ -98,24 +98,24 @@ fn answer_requests(api: &TcpListener, port: u16) {
     }
 }
 
-/// Somebody who hears a topic of a node.
+/// A subscriber to a topic of a node.
 pub struct Listener {
     pub stream: TcpStream,
 }
 
 impl Listener {
-    /// Of the scan matcher.
+    /// Subscribes to a topic of the scan matcher.
     pub fn new(graph: &Graph, topic: &str) -> Self {
         Self::of(graph, NODE, topic)
     }
 
-    /// Connects and says what a subscriber says first.
+    /// Connects to a node and sends the subscriber's header.
     pub fn of(graph: &Graph, node: &str, topic: &str) -> Self {
         let mut stream = connect_to(graph, node, topic);
         let fields = [("callerid", "/listener"), ("topic", topic), ("md5sum", "*"), ("type", "*"), ("tcp_nodelay", "1")];
         stream.write_all(&header(&fields)).unwrap();
         read_block(&mut stream).unwrap();
-        std::thread::sleep(Duration::from_millis(200)); // the node adds it to those it sends to
+        std::thread::sleep(Duration::from_millis(200)); // for the node to add it to its subscribers
         Self { stream }
     }
 
@@ -123,7 +123,7 @@ impl Listener {
         messages::decode(&self.next_bytes().unwrap()).unwrap()
     }
 
-    /// The first message from now on that `is_it`.
+    /// The next message for which `is_it` holds.
     pub fn find<T: Message>(&mut self, is_it: impl Fn(&T) -> bool) -> T {
         loop {
             let message = self.next();
@@ -138,7 +138,7 @@ impl Listener {
     }
 }
 
-/// A connection to the port where the scan matcher publishes `topic`; nothing has been said.
+/// A connection to the port on which the scan matcher publishes `topic`, before any header is sent.
 pub fn connect(graph: &Graph, topic: &str) -> TcpStream {
     connect_to(graph, NODE, topic)
 }
@@ -152,11 +152,11 @@ fn connect_to(graph: &Graph, node: &str, topic: &str) -> TcpStream {
     let mut numbers = answer.rsplit(|c: char| !c.is_ascii_digit()).filter_map(|word| word.parse::<u16>().ok());
     let port = numbers.find(|port| *port > 1024).unwrap();
     let stream = TcpStream::connect(("localhost", port)).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
     stream
 }
 
-/// `bytes` with their number before them.
+/// `bytes` preceded by their length.
 pub fn frame(bytes: &[u8]) -> Vec<u8> {
     [&u32::try_from(bytes.len()).unwrap().to_le_bytes()[..], bytes].concat()
 }

@@ -1,4 +1,4 @@
-//! The node in the place of `laser_scan_matcher`.
+//! The node as a replacement for `laser_scan_matcher`.
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +20,7 @@ use crate::common::graph::Graph;
 const SCANS: u32 = 80;
 const OUTPUTS: [&str; 5] = ["/pose2D", "/pose_stamped", "/pose_with_covariance", "/pose_with_covariance_stamped", "/tf"];
 
-/// The points of a scan from `pose`, in 32 bits.
+/// The points of a scan from `pose`, in single precision.
 #[allow(clippy::cast_possible_truncation)] // messages carry 32 bits
 fn cloud(seconds: f64, pose: Pose2) -> PointCloud2 {
     let message = Laser::with_field_of_view(270.0, 541).message(at(seconds), pose);
@@ -42,7 +42,7 @@ fn cloud(seconds: f64, pose: Pose2) -> PointCloud2 {
     }
 }
 
-/// A drive of a robot whose laser is in its middle, in scans or in clouds.
+/// Writes a drive of a robot whose laser is at its centre, as scans or clouds.
 fn write(graph: &Graph, clouds: bool) -> PathBuf {
     let path = graph.dir.path().join("drive.bag");
     let mut writer = BagWriter::create(&path, Compression::None).unwrap();
@@ -64,7 +64,7 @@ fn write(graph: &Graph, clouds: bool) -> PathBuf {
     path
 }
 
-/// Poses are counted from where the robot was at the first scan that was answered.
+/// Checks poses, which are relative to that of the first answered scan.
 fn assert_on_the_way(poses: &[(Stamp, Pose2)]) {
     let truth = |stamp: &Stamp| base_pose(stamp.seconds_since(at(0.0)));
     let start = truth(poses.iter().map(|(stamp, _)| stamp).min().unwrap());
@@ -74,7 +74,7 @@ fn assert_on_the_way(poses: &[(Stamp, Pose2)]) {
     }
 }
 
-/// Checks every pose of a recording; how many messages each topic of [`OUTPUTS`] has.
+/// Checks every pose of a recording; returns the number of messages on each topic of [`OUTPUTS`].
 fn check(recorded: &Path) -> [usize; 5] {
     let (mut counts, mut poses) = ([0; 5], Vec::new());
     for message in Bag::open(recorded).unwrap().messages(None) {
@@ -95,7 +95,7 @@ fn check(recorded: &Path) -> [usize; 5] {
             3 => {
                 let pose: PoseWithCovarianceStamped = message.decode().unwrap();
                 poses.push((pose.header.stamp.into(), planar_pose(&pose.pose.pose).unwrap()));
-                assert!(pose.pose.covariance[0][0] > 0.0 && pose.pose.covariance[5][5] > 0.0, "filters refuse zeros");
+                assert!(pose.pose.covariance[0][0] > 0.0 && pose.pose.covariance[5][5] > 0.0, "filters reject zero covariances");
             }
             _ => {
                 let [transform] = &message.decode::<TFMessage>().unwrap().transforms[..] else { panic!() };
@@ -111,7 +111,7 @@ fn check(recorded: &Path) -> [usize; 5] {
 }
 
 #[test]
-fn the_launch_file_puts_it_in_the_place_of_laser_scan_matcher() {
+fn the_launch_file_replaces_laser_scan_matcher() {
     let Some(graph) = Graph::start() else { return };
     let params = graph.dir.path().join("params.yaml");
     std::fs::write(&params, "max_iterations: 10\nkf_dist_linear: 0.2\nuse_sigma_weights: 0\ncloud_res: 0.05\n").unwrap();
@@ -127,8 +127,8 @@ fn the_launch_file_puts_it_in_the_place_of_laser_scan_matcher() {
             "publish_pose_with_covariance_stamped:=true",
         ];
         let launch = graph.launch("laser_scan_matcher_compat.launch", &arguments);
-        launch.expect_log("these parameters mean nothing here and are ignored: cloud_res, use_sigma_weights");
-        launch.expect_log(if clouds { "matches /cloud with /odom" } else { "matches /scan with /odom" });
+        launch.expect_log("these parameters have no effect in this node and are ignored: cloud_res, use_sigma_weights");
+        launch.expect_log(if clouds { "matching /cloud with /odom" } else { "matching /scan with /odom" });
         let recorder = graph.record(&OUTPUTS);
         graph.play(&bag, &[]);
         let counts = check(&graph.finish_recording(recorder));

@@ -1,4 +1,4 @@
-//! The time contract on a live graph: changed, called in early by topic and by shared memory, missed, and watched by a controller.
+//! The time contract on a live graph: changed, interrupted by topic and by shared memory, missed, and monitored by a controller.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,10 +16,10 @@ use rosrust_msg::anytime_scan_matcher::MatchReport;
 use rosrust_msg::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus};
 
 use crate::common::drive::{self, MOUNT, Recording, TOPICS, at, header};
-use crate::common::graph::{Graph, PACKAGE, PATIENCE, Process, eventually};
+use crate::common::graph::{Graph, PACKAGE, Process, TIMEOUT, eventually};
 use crate::peer;
 
-/// Matching that takes its time: there is always something left to interrupt.
+/// Parameters that make matching slow, so that there is always work left to interrupt.
 const SLOW: [&str; 4] = [
     "_matching/solver:=point_to_point",
     "_matching/epsilon_translation:=0",
@@ -27,7 +27,7 @@ const SLOW: [&str; 4] = [
     "_matching/max_iterations:=1000",
 ];
 
-/// Starts a node and plays a drive of `scans` scans of `beams` beams to it; what was recorded.
+/// Starts a node and plays a drive of `scans` scans with `beams` beams to it; returns the node and the recording.
 fn play_to_node(graph: &Graph, parameters: &[&str], scans: u32, beams: usize) -> (Process, Recording) {
     let bag = graph.dir.path().join("drive.bag");
     drive::write_with_beams(&bag, scans, beams, |_| ());
@@ -37,7 +37,7 @@ fn play_to_node(graph: &Graph, parameters: &[&str], scans: u32, beams: usize) ->
     (node, Recording::read(&graph.finish_recording(recorder), ""))
 }
 
-/// Checks that a report says of its contract what its own figures say.
+/// Checks that the fields of a report about the contract agree with its other fields.
 fn check_report(report: &MatchReport) {
     let [budget, elapsed, overrun] = [report.time_budget, report.elapsed, report.overrun].map(span);
     let expected = if budget.is_zero() { Duration::ZERO } else { elapsed.saturating_sub(budget) };
@@ -55,7 +55,7 @@ fn span(duration: rosrust::Duration) -> Duration {
 }
 
 #[test]
-fn a_new_contract_is_in_force_from_the_next_scan_on_and_an_invalid_one_is_not() {
+fn a_valid_contract_applies_from_the_next_scan_on_and_an_invalid_one_is_rejected() {
     let Some(graph) = Graph::start() else { return };
     let bag = graph.dir.path().join("drive.bag");
     let contract = |seconds, nsec, translation_error_bound, rotation_error_bound| Contract {
@@ -78,7 +78,7 @@ fn a_new_contract_is_in_force_from_the_next_scan_on_and_an_invalid_one_is_not() 
     recording.check_consistency();
     recording.check_accounts(160);
     recording.reports.iter().for_each(check_report);
-    // A scan leaves 12 ms after its stamp, and playing a bag is not exact.
+    // A scan is sent 12 ms after its stamp, and the timing of rosbag is not exact.
     for (seconds, report) in recording.timed_reports() {
         let in_force = (span(report.time_budget).as_millis(), report.translation_error_bound, report.rotation_error_bound);
         let expected = match seconds {
@@ -90,7 +90,7 @@ fn a_new_contract_is_in_force_from_the_next_scan_on_and_an_invalid_one_is_not() 
         assert_eq!(format!("{in_force:?}"), format!("{expected:?}"), "at {seconds}");
     }
     assert!(recording.reports.iter().any(|report| report.stop_reason == "error_bound"));
-    assert_eq!(node.log().matches("contract refused").count(), 1, "two within a second are told once: {}", node.log());
+    assert_eq!(node.log().matches("contract refused").count(), 1, "two within a second are logged once: {}", node.log());
     assert!(node.log().contains("translation_error_bound is NaN"), "{}", node.log());
 }
 
@@ -109,7 +109,7 @@ fn interrupts_by_topic_end_answers_early() {
     let interrupted: Vec<_> = recording.reports.iter().filter(|report| report.stop_reason == "interrupted").collect();
     assert!(interrupted.len() >= 50, "{} of {}", interrupted.len(), recording.reports.len());
     assert!(interrupted.iter().all(|report| report.deadline_met && report.ok == (report.outcome != MatchReport::PREDICTED)));
-    // Nobody who calls waits for the scan to be matched to the end, whatever that takes.
+    // No interrupt waits for the match to complete, however long that takes.
     let latencies = peer::latencies(&interrupter);
     assert!(latencies.len() >= 50 && latencies[latencies.len() / 2] < Duration::from_millis(50), "{latencies:?}");
 }
@@ -135,16 +135,16 @@ fn latency_of_the_topic_interrupt() {
         latencies.len(),
         reports.len()
     );
-    assert!(median < Duration::from_millis(20), "far from what any machine should take");
+    assert!(median < Duration::from_millis(20), "far longer than any machine should take");
 }
 
-/// Of sorted values.
+/// A percentile of sorted values.
 fn at_percent(sorted: &[Duration], percent: usize) -> Duration {
     sorted[(sorted.len() * percent).div_ceil(100).max(1) - 1]
 }
 
 #[test]
-fn a_controller_calls_and_counts_by_shared_memory() {
+fn a_controller_requests_and_counts_answers_by_shared_memory() {
     let Some(graph) = Graph::start() else { return };
     let name = format!("/scan_matcher_test_{}", std::process::id());
     let bag = graph.dir.path().join("drive.bag");
@@ -152,7 +152,7 @@ fn a_controller_calls_and_counts_by_shared_memory() {
     let parameter = format!("_contract/shared_memory:={name}");
     let node = graph.node(&[&[MOUNT, &parameter][..], &SLOW].concat());
     let mut second = graph.spawn_node(&["__name:=second", &parameter]);
-    assert_eq!(second.exit_code(PATIENCE), Some(1));
+    assert_eq!(second.exit_code(TIMEOUT), Some(1));
     let problem = second.log();
     assert!(problem.contains(&format!("shared memory {name}")) && problem.contains("serves it"), "{problem}");
 
@@ -185,21 +185,21 @@ fn a_controller_calls_and_counts_by_shared_memory() {
     }
     assert!(answers.iter().any(|answer| answer.estimate.interrupted));
     drop(node);
-    assert!(client.wait_for_completion(completed, PATIENCE).is_err(), "the node is gone");
+    assert!(client.wait_for_completion(completed, TIMEOUT).is_err(), "the node is gone");
 }
 
-/// The answers to requests that come at random times.
+/// The answers to requests at random times.
 fn call_at_random(client: &Client, over: &AtomicBool) -> Vec<CompletedEstimate> {
     let (mut rng, mut answers) = (Pcg64::seed_from_u64(1), Vec::new());
     while !over.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_micros(rng.random_range(0..30_000)));
         let number = client.request();
-        answers.extend(client.wait_for_answer(number, PATIENCE).unwrap());
+        answers.extend(client.wait_for_answer(number, TIMEOUT).unwrap());
     }
     answers
 }
 
-/// The number of completions seen, one by one or several at once.
+/// The number of completions seen, singly or several at once.
 fn count_completions(client: &Client, over: &AtomicBool) -> u32 {
     let mut seen = 0;
     while !over.load(Ordering::Relaxed) {
@@ -212,12 +212,12 @@ fn count_completions(client: &Client, over: &AtomicBool) -> u32 {
 }
 
 #[test]
-fn an_impossible_budget_shows_in_reports_and_diagnostics() {
+fn an_impossible_budget_is_reported_and_shown_in_diagnostics() {
     let Some(graph) = Graph::start() else { return };
     let diagnostics = graph.dir.path().join("diagnostics.bag");
     let recorder = graph.spawn("rosbag", &["record", "-O", diagnostics.to_str().unwrap(), "/diagnostics"]);
     let (_node, recording) = play_to_node(&graph, &["_contract/time_budget:=20us"], 120, 541);
-    std::thread::sleep(Duration::from_millis(1500)); // until the last scans are in
+    std::thread::sleep(Duration::from_millis(1500)); // until the last scans have been processed
     recorder.signal_group("INT");
     assert!(eventually(|| diagnostics.exists()), "{}", recorder.log());
     recording.check_consistency();
@@ -228,7 +228,7 @@ fn an_impossible_budget_shows_in_reports_and_diagnostics() {
     assert!(late * 10 >= recording.reports.len() * 9, "{late} of {}", recording.reports.len());
     for report in &recording.reports {
         assert_eq!(report.ok, report.outcome != MatchReport::PREDICTED, "{report:?}");
-        assert_eq!(report.reason.is_empty(), report.ok, "a prediction says why: {report:?}");
+        assert_eq!(report.reason.is_empty(), report.ok, "a prediction must have a reason: {report:?}");
         assert!(report.outcome != MatchReport::MATCHED || report.iterations > 0, "{report:?}");
     }
     assert!(recording.reports.iter().any(|report| report.outcome == MatchReport::PREDICTED && report.stop_reason == "budget"));
@@ -237,8 +237,8 @@ fn an_impossible_budget_shows_in_reports_and_diagnostics() {
     assert_eq!(value("deadline misses"), late.to_string());
     assert_eq!(value("scans answered"), recording.reports.len().to_string());
     assert_eq!(value("worst overrun [ms]"), format!("{:.3}", worst.as_secs_f64() * 1e3));
-    let told = statuses(&diagnostics).iter().any(|status| status.message.contains("answers later than the time budget"));
-    assert!(told, "{:?}", statuses(&diagnostics));
+    let is_reported = statuses(&diagnostics).iter().any(|status| status.message.contains("answers later than the time budget"));
+    assert!(is_reported, "{:?}", statuses(&diagnostics));
 }
 
 fn statuses(bag: &Path) -> Vec<DiagnosticStatus> {
@@ -251,14 +251,14 @@ fn last_status(bag: &Path) -> DiagnosticStatus {
     statuses(bag).pop().unwrap()
 }
 
-/// A row of the controller's file.
+/// A row of the controller's CSV file.
 struct Row {
     speed: f64,
     budget_ms: f64,
 }
 
 #[test]
-fn the_demo_controller_gives_budgets_by_speed_and_logs_how_they_are_kept() {
+fn the_demo_controller_sets_budgets_by_speed_and_logs_how_they_are_kept() {
     let Some(graph) = Graph::start() else { return };
     let csv = graph.dir.path().join("adherence.csv");
     let mut launch = graph.launch(
@@ -271,16 +271,16 @@ fn the_demo_controller_gives_budgets_by_speed_and_logs_how_they_are_kept() {
             "stop_at_end:=true",
         ],
     );
-    launch.expect_log("gives scans 10ms at rest and 2ms at 3 m/s and beyond");
-    assert!(launch.exit_code(6 * PATIENCE).is_some(), "{}", launch.log());
+    launch.expect_log("time budget 10ms at rest, falling to 2ms at 3 m/s and above");
+    assert!(launch.exit_code(6 * TIMEOUT).is_some(), "{}", launch.log());
     let log = launch.log();
     eprintln!("{}", log.lines().filter(|line| line.contains("contract_demo:")).collect::<Vec<_>>().join("\n"));
-    assert!(log.contains("allowed on average") && log.contains("in all: ") && !log.contains("messages were lost"), "{log}");
+    assert!(log.contains("mean budget") && log.contains("total: ") && !log.contains("messages were lost"), "{log}");
     let rows = read_rows(&csv);
     assert!(rows.len() > 350, "{} rows", rows.len());
     let wanted = |row: &Row| 10.0 - 8.0 * (row.speed / 3.0).min(1.0);
-    // Before the first contract there is no budget; a change of less than 5 % is not sent, nor one within 0.1 s of the last, and
-    // velocities are as noisy as scans 25 ms apart make them.
+    // Before the first contract there is no budget. A change of less than 5 %, or within 0.1 s of the last one, is not sent, and
+    // velocities from scans 25 ms apart are noisy.
     let following = rows.iter().filter(|row| (row.budget_ms - wanted(row)).abs() < 0.25 * wanted(row)).count();
     assert!(following * 10 > rows.len() * 7, "{following} of {}", rows.len());
     let shortest = rows.iter().map(|row| row.budget_ms).filter(|budget| *budget > 0.0).fold(f64::INFINITY, f64::min);
@@ -297,33 +297,33 @@ fn read_rows(csv: &Path) -> Vec<Row> {
 }
 
 #[test]
-fn the_demo_controller_refuses_budgets_that_do_not_fit_together() {
+fn the_demo_controller_rejects_inconsistent_budgets() {
     let Some(graph) = Graph::start() else { return };
     for (argument, remedy) in
         [("_budget_fast:=20ms", "at most budget_slow"), ("_budget_fats:=1ms", "did you mean 'budget_fast'?")]
     {
         let mut demo = graph.spawn(env!("CARGO_BIN_EXE_contract_demo"), &[argument]);
-        assert_eq!(demo.exit_code(PATIENCE), Some(1), "{argument}");
+        assert_eq!(demo.exit_code(TIMEOUT), Some(1), "{argument}");
         assert!(demo.log().contains(remedy) && demo.log().contains("rosparam delete /contract_demo"), "{}", demo.log());
         graph.output("rosparam", &["delete", "/contract_demo"]);
     }
     let mut help = graph.spawn(env!("CARGO_BIN_EXE_contract_demo"), &["--help"]);
-    assert_eq!((help.exit_code(PATIENCE), help.log().contains("speed_fast")), (Some(0), true));
+    assert_eq!((help.exit_code(TIMEOUT), help.log().contains("speed_fast")), (Some(0), true));
 }
 
 #[test]
-fn budgets_are_kept_beside_a_busy_loop() {
-    adherence_beside_a_busy_loop(5.0);
+fn budgets_are_kept_despite_a_busy_loop() {
+    adherence_despite_a_busy_loop(5.0);
 }
 
-/// Figures to be stated: `cargo test --release --test live -- --ignored adherence --nocapture`, on a quiet machine.
+/// For documented figures: `cargo test --release --test live -- --ignored adherence --nocapture`, on a quiet machine.
 #[test]
 #[ignore = "the same for longer"]
 fn adherence_over_many_scans() {
-    adherence_beside_a_busy_loop(20.0);
+    adherence_despite_a_busy_loop(20.0);
 }
 
-fn adherence_beside_a_busy_loop(seconds: f64) {
+fn adherence_despite_a_busy_loop(seconds: f64) {
     const BUDGET: Duration = Duration::from_millis(2);
     let Some(graph) = Graph::alone() else { return };
     let bag = graph.dir.path().join("drive.bag");

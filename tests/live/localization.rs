@@ -26,13 +26,13 @@ use rosrust_msg::geometry_msgs::PoseArray;
 use rosrust_msg::nav_msgs::GetMap;
 
 use crate::common::corridor;
-use crate::common::graph::{Graph, PATIENCE, Process, eventually};
+use crate::common::graph::{Graph, Process, TIMEOUT, eventually};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_particle_filter");
 pub(crate) const TOPICS: [&str; 7] =
     ["/scan", "/odom", "/pf/pose/odom", "/pf/report", "/pf/viz/particles", "/pf/viz/fake_scan", "/tf"];
 
-/// A drive through the corridor as a bag.
+/// A drive through the corridor, as a bag.
 pub(crate) struct Drive {
     pub(crate) bag: PathBuf,
     start: Stamp,
@@ -40,12 +40,12 @@ pub(crate) struct Drive {
 }
 
 impl Drive {
-    /// `extra` adds messages; it is told the time of the start.
+    /// `extra` adds messages; it gets the start time.
     pub(crate) fn write(folder: &Path, seconds: f64, extra: impl FnOnce(&mut BagWriter, Stamp)) -> Self {
         Self::write_at(folder, seconds, 20.0, extra)
     }
 
-    /// The same with so many scans a second.
+    /// The same with this number of scans a second.
     fn write_at(folder: &Path, seconds: f64, rate: f64, extra: impl FnOnce(&mut BagWriter, Stamp)) -> Self {
         let mut settings = Settings::default();
         settings.drive.duration = Seconds(seconds);
@@ -70,13 +70,13 @@ impl Drive {
         Self { bag, start, truth }
     }
 
-    /// The parameter that says where the drive begins.
+    /// The parameter with the start pose of the drive.
     pub(crate) fn initial_pose(&self) -> String {
         let pose = self.truth.values().next().unwrap();
         format!("_localization/initial_pose:=[{}, {}, {}]", pose.x, pose.y, pose.theta)
     }
 
-    /// Where the robot is between two scans, too.
+    /// The error of a pose; the true pose is interpolated between scans.
     fn error(&self, stamp: Stamp, pose: &Pose2) -> Pose2 {
         let before = self.truth.range(..=stamp).next_back();
         let after = self.truth.range(stamp..).next();
@@ -90,7 +90,7 @@ impl Drive {
     }
 }
 
-/// The corridor as a file of `map_server`.
+/// Writes the corridor as a map file of `map_server`.
 pub(crate) fn map_file(folder: &Path) -> String {
     let grid = corridor();
     let mut image = format!("P5 {} {} 255\n", grid.width(), grid.height()).into_bytes();
@@ -105,9 +105,9 @@ pub(crate) fn map_file(folder: &Path) -> String {
     format!("_localization/map:={}", yaml.display())
 }
 
-/// What was recorded.
+/// The recorded messages.
 #[derive(Default)]
-pub(crate) struct Heard {
+pub(crate) struct Received {
     pub(crate) poses: Vec<(Stamp, Pose2)>,
     odometry: Vec<Odometry>,
     scans: BTreeMap<Stamp, LaserScan>,
@@ -117,9 +117,9 @@ pub(crate) struct Heard {
     transforms: Vec<TransformStamped>,
 }
 
-impl Heard {
+impl Received {
     pub(crate) fn read(path: &Path) -> Self {
-        let mut heard = Self::default();
+        let mut received = Self::default();
         for message in Bag::open(path).unwrap().messages(None) {
             let message = message.unwrap();
             match message.connection.topic.as_str() {
@@ -127,27 +127,27 @@ impl Heard {
                     let pose: Odometry = message.decode().unwrap();
                     assert_eq!((pose.header.frame_id.as_str(), pose.child_frame_id.as_str()), ("map", "base_link"));
                     assert!([0, 1, 5].map(|i| pose.pose.covariance[i][i]).iter().all(|v| *v > 0.0 && v.is_finite()));
-                    heard.poses.push((pose.header.stamp.into(), planar_pose(&pose.pose.pose).unwrap()));
+                    received.poses.push((pose.header.stamp.into(), planar_pose(&pose.pose.pose).unwrap()));
                 }
-                "/odom" => heard.odometry.push(message.decode().unwrap()),
+                "/odom" => received.odometry.push(message.decode().unwrap()),
                 "/scan" => {
                     let scan: LaserScan = message.decode().unwrap();
-                    heard.scans.insert(scan.header.stamp.into(), scan);
+                    received.scans.insert(scan.header.stamp.into(), scan);
                 }
-                "/pf/viz/fake_scan" => heard.fake_scans.push(message.decode().unwrap()),
-                "/pf/report" => heard.reports.push(message.decode().unwrap()),
-                "/pf/viz/particles" => heard.particles.push(PoseArray::decode(&message.data[..]).unwrap().poses.len()),
+                "/pf/viz/fake_scan" => received.fake_scans.push(message.decode().unwrap()),
+                "/pf/report" => received.reports.push(message.decode().unwrap()),
+                "/pf/viz/particles" => received.particles.push(PoseArray::decode(&message.data[..]).unwrap().poses.len()),
                 "/tf" => {
                     let tf: TFMessage = message.decode().unwrap();
-                    heard.transforms.extend(tf.transforms.into_iter().filter(|t| t.child_frame_id == "odom"));
+                    received.transforms.extend(tf.transforms.into_iter().filter(|t| t.child_frame_id == "odom"));
                 }
                 _ => {}
             }
         }
-        heard
+        received
     }
 
-    /// Every pose is where the robot was, within `tolerance`, m.
+    /// Checks that every pose is right to within `tolerance`, m.
     pub(crate) fn check_poses(&self, drive: &Drive, tolerance: f64) {
         for (stamp, pose) in &self.poses {
             let error = drive.error(*stamp, pose);
@@ -155,7 +155,7 @@ impl Heard {
         }
     }
 
-    /// No scan was evidence twice.
+    /// Checks that no scan was used twice.
     fn check_evidence(&self) {
         let stamps: Vec<Stamp> = self.reports.iter().map(|report| report.header.stamp.into()).collect();
         assert!(stamps.windows(2).all(|pair| pair[0] < pair[1]), "{stamps:?}");
@@ -165,12 +165,12 @@ impl Heard {
 
 fn start(graph: &Graph, arguments: &[&str]) -> Process {
     let node = graph.spawn(PROGRAM, arguments);
-    node.expect_log("localizes by ");
+    node.expect_log("localizing with ");
     node
 }
 
 #[test]
-fn the_robot_is_placed_on_a_map_that_comes_late() {
+fn the_robot_is_localized_on_a_map_that_arrives_late() {
     let Some(graph) = Graph::start() else { return };
     let drive = Drive::write(graph.dir.path(), 12.0, |writer, start| {
         let mut bad = message(&corridor(), "map");
@@ -178,7 +178,7 @@ fn the_robot_is_placed_on_a_map_that_comes_late() {
         writer.write("/map", start.offset_by(0.4), &bad).unwrap();
         bad.info.height = 5;
         writer.write("/map", start.offset_by(1.6), &bad).unwrap();
-        // The second time it is nothing new.
+        // The second time the map is unchanged.
         for seconds in [2.0, 6.0] {
             writer.write("/map", start.offset_by(seconds), &message(&corridor(), "map")).unwrap();
         }
@@ -189,16 +189,16 @@ fn the_robot_is_placed_on_a_map_that_comes_late() {
     node.expect_log("there is no map yet");
     node.expect_log("resolution is -1");
     node.expect_log("cells do not make 400 x 5");
-    node.expect_log("has a map of 400 x 300 cells of 0.05 m");
+    node.expect_log("using a map of 400 x 300 cells of 0.05 m");
     assert!(graph.trigger("/pf/global_localization").contains("anywhere"));
-    assert_eq!(player.exit_code(6 * PATIENCE), Some(0));
-    let heard = Heard::read(&graph.finish_recording(recorder));
-    assert_eq!(node.log().matches("has a map").count(), 1, "{}", node.log());
-    heard.check_evidence();
-    // From anywhere in the corridor it takes longer than this to find it. The search is at work before it has taken a scan in.
-    let searching: Vec<_> = heard.reports.iter().skip_while(|report| report.beams == 0).collect();
+    assert_eq!(player.exit_code(6 * TIMEOUT), Some(0));
+    let received = Received::read(&graph.finish_recording(recorder));
+    assert_eq!(node.log().matches("using a map").count(), 1, "{}", node.log());
+    received.check_evidence();
+    // Global localization in the corridor takes longer than this. The search runs before it has used the first scan.
+    let searching: Vec<_> = received.reports.iter().skip_while(|report| report.beams == 0).collect();
     assert!(searching.len() > 50 && searching.iter().all(|report| report.particles >= 4000 && report.beams > 0));
-    assert!(heard.poses.iter().all(|(stamp, pose)| drive.error(*stamp, pose).distance() < 40.0));
+    assert!(received.poses.iter().all(|(stamp, pose)| drive.error(*stamp, pose).distance() < 40.0));
 }
 
 #[test]
@@ -206,8 +206,8 @@ fn the_map_of_a_file_is_published_latched_and_served() {
     let Some(graph) = Graph::start() else { return };
     let map = map_file(graph.dir.path());
     let node = start(&graph, &[&map]);
-    node.expect_log("publishes it as /map and serves it as /static_map");
-    let recorder = graph.record(&["/map", "/map_metadata"]); // which comes after it was published
+    node.expect_log("publishing the map on /map and serving it by /static_map");
+    let recorder = graph.record(&["/map", "/map_metadata"]); // which subscribes after it was published
     let expected = message(&corridor(), "map");
     let served = graph.request("/static_map", "nav_msgs/GetMap", &GetMap::md5sum(), &[]);
     assert!(decode::<MapMessage>(&served).unwrap() == expected);
@@ -225,80 +225,80 @@ fn the_map_of_a_file_is_published_latched_and_served() {
     }
     assert_eq!((maps, metadata), (1, 1));
     let second = start(&graph, &[&map, "__name:=second", "_publish_tf:=false"]);
-    second.expect_log("the map is not published: /particle_filter publishes /map");
-    second.expect_log("has a map of 400 x 300");
+    second.expect_log("not publishing the map: /particle_filter already publishes /map");
+    second.expect_log("using a map of 400 x 300");
 }
 
 #[test]
-fn poses_transforms_and_pictures_belong_to_the_scan() {
+fn poses_transforms_and_visualizations_belong_to_the_scan() {
     let Some(graph) = Graph::alone() else { return };
     let drive = Drive::write(graph.dir.path(), 6.0, |_, _| ());
     let node = start(&graph, &[&drive.initial_pose(), &map_file(graph.dir.path())]);
-    node.expect_log("has a map of 400 x 300");
+    node.expect_log("using a map of 400 x 300");
     let recorder = graph.record(&TOPICS);
     graph.play(&drive.bag, &[]);
-    let heard = Heard::read(&graph.finish_recording(recorder));
-    heard.check_evidence();
-    heard.check_poses(&drive, 0.15);
-    assert!(heard.reports.len() * 10 > drive.truth.len() * 8, "{} of {}", heard.reports.len(), drive.truth.len());
-    assert!(heard.poses.iter().all(|(stamp, _)| drive.truth.contains_key(stamp)), "stamps are the scans'");
-    assert_eq!(heard.transforms.len(), heard.poses.len());
-    assert!(heard.particles.iter().all(|&count| count == 1000) && !heard.particles.is_empty());
-    // map -> odom and odom -> base are map -> base.
+    let received = Received::read(&graph.finish_recording(recorder));
+    received.check_evidence();
+    received.check_poses(&drive, 0.15);
+    assert!(received.reports.len() * 10 > drive.truth.len() * 8, "{} of {}", received.reports.len(), drive.truth.len());
+    assert!(received.poses.iter().all(|(stamp, _)| drive.truth.contains_key(stamp)), "stamps must be those of the scans");
+    assert_eq!(received.transforms.len(), received.poses.len());
+    assert!(received.particles.iter().all(|&count| count == 1000) && !received.particles.is_empty());
+    // map -> odom and odom -> base must combine to map -> base.
     let odometry: BTreeMap<Stamp, Pose2> =
-        heard.odometry.iter().map(|o| (o.header.stamp.into(), planar_pose(&o.pose.pose).unwrap())).collect();
+        received.odometry.iter().map(|o| (o.header.stamp.into(), planar_pose(&o.pose.pose).unwrap())).collect();
     let mut compared = 0;
-    for (transform, (stamp, pose)) in heard.transforms.iter().zip(&heard.poses) {
+    for (transform, (stamp, pose)) in received.transforms.iter().zip(&received.poses) {
         assert_eq!((Stamp::from(transform.header.stamp), transform.header.frame_id.as_str()), (*stamp, "map"));
         if let Some(odom_from_base) = odometry.get(stamp) {
             let t = &transform.transform;
             let map_from_odom = Pose2::new(t.translation.x, t.translation.y, t.rotation.yaw());
             let off = (map_from_odom * *odom_from_base).between(pose);
-            // On a busy machine a scan may be heard before the odometry of its moment, which is then extrapolated.
+            // On a busy machine a scan may arrive before its odometry, which is then extrapolated.
             assert!(off.distance() < 0.02 && off.theta.abs() < 0.02, "{off:?}");
             compared += usize::from(off.distance() < 1e-6 && off.theta.abs() < 1e-6);
         }
     }
     assert!(compared > 50, "{compared} transforms compared");
-    for fake in &heard.fake_scans {
-        let Some(scan) = heard.scans.get(&fake.header.stamp.into()) else { continue }; // not heard by the recorder
+    for fake in &received.fake_scans {
+        let Some(scan) = received.scans.get(&fake.header.stamp.into()) else { continue }; // not received by the recorder
         let near = scan.ranges.iter().zip(&fake.ranges).filter(|(a, b)| (**a - **b).abs() < 0.3).count();
         assert!(fake.ranges.len() == scan.ranges.len() && near * 10 > scan.ranges.len() * 8, "{near} of {}", scan.ranges.len());
     }
 }
 
 #[test]
-fn a_timer_drives_the_updates_and_no_scan_is_evidence_twice() {
+fn a_timer_triggers_the_updates_and_no_scan_is_used_twice() {
     let Some(graph) = Graph::alone() else { return };
     let drive = Drive::write(graph.dir.path(), 6.0, |_, _| ());
     let map = map_file(graph.dir.path());
     for (period, least_poses, most_reports) in [("10ms", 200, 125), ("200ms", 20, 35)] {
         let period = format!("_localization/update_period:={period}");
         let mut node = start(&graph, &[&drive.initial_pose(), &map, &period]);
-        node.expect_log("has a map of 400 x 300");
+        node.expect_log("using a map of 400 x 300");
         let recorder = graph.record(&TOPICS);
         graph.play(&drive.bag, &[]);
-        let heard = Heard::read(&graph.finish_recording(recorder));
-        heard.check_evidence();
-        heard.check_poses(&drive, 0.2);
-        let (poses, reports) = (heard.poses.len(), heard.reports.len());
+        let received = Received::read(&graph.finish_recording(recorder));
+        received.check_evidence();
+        received.check_poses(&drive, 0.2);
+        let (poses, reports) = (received.poses.len(), received.reports.len());
         assert!(poses >= least_poses && (15..=most_reports).contains(&reports), "{period}: {poses} poses, {reports} reports");
-        let stamps: Vec<Stamp> = heard.poses.iter().map(|(stamp, _)| *stamp).collect();
-        assert!(period.contains("200") == (heard.reports.last().unwrap().dropped > 20));
+        let stamps: Vec<Stamp> = received.poses.iter().map(|(stamp, _)| *stamp).collect();
+        assert!(period.contains("200") == (received.reports.last().unwrap().dropped > 20));
         assert!(stamps.iter().all(|stamp| stamp.seconds_since(drive.start) >= 0.0));
         node.signal("INT");
-        assert_eq!(node.exit_code(PATIENCE), Some(0));
+        assert_eq!(node.exit_code(TIMEOUT), Some(0));
         graph.output("rosparam", &["delete", "/particle_filter"]);
     }
 }
 
 #[test]
-fn bad_maps_and_bad_poses_are_told_and_nothing_dies() {
+fn bad_maps_and_bad_poses_are_reported_and_the_node_continues() {
     let Some(graph) = Graph::start() else { return };
     let folder = graph.dir.path();
     let fields = "resolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n";
     map_file(folder);
-    for (name, text, said) in [
+    for (name, text, reported) in [
         ("missing", format!("image: nowhere.png\n{fields}"), "nowhere.png"),
         ("coarse", format!("image: corridor.pgm\n{fields}").replace("0.05", "-0.05"), "resolution is -0.05"),
         ("thresholds", format!("image: corridor.pgm\n{fields}").replace("0.65", "0.1"), "less than occupied_thresh"),
@@ -311,7 +311,7 @@ fn bad_maps_and_bad_poses_are_told_and_nothing_dies() {
         let yaml = folder.join(format!("{name}.yaml"));
         fs::write(&yaml, text).unwrap();
         let mut node = start(&graph, &[&format!("_localization/map:={}", yaml.display())]);
-        node.expect_log(said);
+        node.expect_log(reported);
         assert!(node.is_running());
         graph.output("rosparam", &["delete", "/particle_filter"]);
     }
@@ -328,40 +328,42 @@ fn bad_maps_and_bad_poses_are_told_and_nothing_dies() {
         let header = Header { seq: 0, stamp: start.into(), frame_id: "map".into() };
         let point = PointStamped { header, point: Point { x: f64::INFINITY, y: 0.0, z: 0.0 } };
         writer.write("/clicked_point", start.offset_by(2.0), &point).unwrap();
-        // Between two scans, and several: of those that come at once only the newest is looked at.
+        // Between two scans, and several at once, of which only the newest is used.
         for seconds in (0..10).map(|i| 3.025 + 0.1 * f64::from(i)) {
             writer.write("/scan", start.offset_by(seconds), &LaserScan::default()).unwrap();
         }
-        // It insists.
+        // It keeps publishing.
         for seconds in (0..30).map(|i| 1.0 + 0.1 * f64::from(i)) {
             let mut rival = TransformStamped { child_frame_id: "odom".into(), ..Default::default() };
             rival.transform.rotation.w = 1.0;
             writer.write("/tf", start.offset_by(seconds), &TFMessage { transforms: vec![rival] }).unwrap();
         }
     });
-    // Few particles, so that every scan is taken in before the next one comes.
+    // Few particles, so that every scan is processed before the next one arrives.
     let arguments = [&*drive.initial_pose(), &*map_file(folder), "_contract/time_budget:=10us", "_localization/particles:=500"];
     let mut node = start(&graph, &arguments);
-    node.expect_log("has a map of 400 x 300");
+    node.expect_log("using a map of 400 x 300");
     let recorder = graph.record(&TOPICS);
     graph.play(&drive.bag, &[]);
-    for said in ["outside the map", "given in the frame 'odom', expected 'map'", "not finite", "malformed scan", "held back"] {
-        node.expect_log(said);
+    for reported in
+        ["outside the map", "given in the frame 'odom', expected 'map'", "not finite", "malformed scan", "stops publishing"]
+    {
+        node.expect_log(reported);
     }
     assert!(node.is_running());
-    let heard = Heard::read(&graph.finish_recording(recorder));
-    heard.check_poses(&drive, 0.3);
-    let own = heard.transforms.iter().filter(|t| t.header.frame_id == "map");
-    assert!(own.clone().count() > 20, "a rival that may give way itself is waited for");
+    let received = Received::read(&graph.finish_recording(recorder));
+    received.check_poses(&drive, 0.3);
+    let own = received.transforms.iter().filter(|t| t.header.frame_id == "map");
+    assert!(own.clone().count() > 20, "the node first waits, because the conflicting publisher may stop by itself");
     assert!(own.clone().all(|t| Stamp::from(t.header.stamp).seconds_since(drive.start) < 3.8), "one parent must do");
-    let late = heard.reports.iter().filter(|report| !report.deadline_met).count();
-    assert!(late * 10 > heard.reports.len() * 9, "{late} of {}", heard.reports.len());
-    let mut failed = heard.reports.iter().filter(|report| !report.ok).peekable();
+    let late = received.reports.iter().filter(|report| !report.deadline_met).count();
+    assert!(late * 10 > received.reports.len() * 9, "{late} of {}", received.reports.len());
+    let mut failed = received.reports.iter().filter(|report| !report.ok).peekable();
     assert!(failed.peek().is_some() && failed.all(|report| report.failure == "malformed_scan"));
 }
 
 #[test]
-fn a_clicked_point_says_where_and_not_in_which_direction() {
+fn a_clicked_point_sets_the_position_but_not_the_heading() {
     let Some(graph) = Graph::start() else { return };
     let drive = Drive::write(graph.dir.path(), 6.0, |writer, start| {
         let pose = Pose2::new(-2.0, 9.0, 0.0);
@@ -371,16 +373,16 @@ fn a_clicked_point_says_where_and_not_in_which_direction() {
     });
     let at_click = drive.truth.range(drive.start.offset_by(3.0)..).next().unwrap().1;
     let node = start(&graph, &[&drive.initial_pose(), &map_file(graph.dir.path())]);
-    node.expect_log("has a map of 400 x 300");
+    node.expect_log("using a map of 400 x 300");
     let recorder = graph.record(&TOPICS);
     graph.play(&drive.bag, &[]);
-    let heard = Heard::read(&graph.finish_recording(recorder));
+    let received = Received::read(&graph.finish_recording(recorder));
     let clicked = Pose2::new(-2.0, 9.0, 0.0);
     let near = |(stamp, pose): &&(Stamp, Pose2)| {
         (3.0..3.3).contains(&stamp.seconds_since(drive.start)) && (pose.translation() - clicked.translation()).norm() < 2.0
     };
-    assert!((at_click.translation() - clicked.translation()).norm() > 4.0, "choose another place: {at_click:?}");
-    assert!(heard.poses.iter().any(|pose| near(&pose)), "the robot is where the person says");
+    assert!((at_click.translation() - clicked.translation()).norm() > 4.0, "choose another pose: {at_click:?}");
+    assert!(received.poses.iter().any(|pose| near(&pose)), "the robot must be at the clicked point");
 }
 
 #[test]
@@ -388,16 +390,16 @@ fn the_robot_is_found_from_anywhere_at_40_scans_a_second() {
     let Some(graph) = Graph::start() else { return };
     let drive = Drive::write_at(graph.dir.path(), 20.0, 40.0, |_, _| {});
     let node = start(&graph, &[&map_file(graph.dir.path())]);
-    node.expect_log("has a map of 400 x 300");
+    node.expect_log("using a map of 400 x 300");
     let recorder = graph.record(&TOPICS);
     graph.play(&drive.bag, &[]);
-    let heard = Heard::read(&graph.finish_recording(recorder));
+    let received = Received::read(&graph.finish_recording(recorder));
     let is_right = |report: &&FilterReport| {
         let stamp = report.header.stamp.into();
-        let pose = heard.poses.iter().find(|(of, _)| *of == stamp);
+        let pose = received.poses.iter().find(|(of, _)| *of == stamp);
         pose.is_some_and(|(_, pose)| drive.error(stamp, pose).distance() < 0.3)
     };
-    let claims: Vec<&FilterReport> = heard.reports.iter().filter(|report| report.localized).collect();
+    let claims: Vec<&FilterReport> = received.reports.iter().filter(|report| report.localized).collect();
     let first = claims.first().map(|report| Stamp::from(report.header.stamp).seconds_since(drive.start));
     eprintln!(
         "found after {first:?} s; {} of {} claims are right",
@@ -405,12 +407,12 @@ fn the_robot_is_found_from_anywhere_at_40_scans_a_second() {
         claims.len()
     );
     assert!(first.is_some_and(|seconds| seconds < 15.0), "{first:?}");
-    assert!(claims.last().is_some_and(is_right), "{:?}", heard.reports.last());
+    assert!(claims.last().is_some_and(is_right), "{:?}", received.reports.last());
     assert!(claims.iter().filter(|claim| is_right(claim)).count() * 10 > claims.len() * 9);
 }
 
 #[test]
-fn the_launch_file_hands_its_arguments_on() {
+fn the_launch_file_passes_its_arguments() {
     let Some(graph) = Graph::start() else { return };
     let map = map_file(graph.dir.path()).replace("_localization/map", "map");
     let arguments = [
@@ -425,12 +427,12 @@ fn the_launch_file_hands_its_arguments_on() {
     ];
     let mut launch = graph.launch("particle_filter.launch", &arguments);
     launch.expect_log(
-        "localizes by /front/scan and /icp/odom to /pf/pose/odom (map -> car, also map -> odom on /tf), 500 particles, every 0.01 s, \
-         within 5ms",
+        "localizing with /front/scan and /icp/odom; poses on /pf/pose/odom (map -> car, also map -> odom on /tf); 500 particles, \
+         updated every 0.01 s; contract: within 5ms",
     );
-    launch.expect_log("has a map of 400 x 300");
+    launch.expect_log("using a map of 400 x 300");
     launch.signal("INT");
-    assert!(launch.exit_code(PATIENCE).is_some());
+    assert!(launch.exit_code(TIMEOUT).is_some());
     let shown = graph.output("roslaunch", &["--nodes", "anytime_scan_matcher", "particle_filter.launch", "rviz:=true"]);
     assert!(shown.contains("/particle_filter") && shown.contains("/rviz"), "{shown}");
     assert!(eventually(|| !graph.master_state().contains("particle_filter")));

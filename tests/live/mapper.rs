@@ -1,4 +1,4 @@
-//! The mapper on a live graph: its map by topic, by service and as files, and what the particle filter makes of these.
+//! The mapper on a live graph: its map by topic, by service and as files, and localization on it.
 
 use std::fs;
 use std::path::Path;
@@ -16,20 +16,20 @@ use rosrust::Message as _;
 use rosrust_msg::nav_msgs::GetMap;
 use serde_json::Value;
 
-use crate::common::graph::{Graph, PATIENCE, Process, eventually};
-use crate::localization::{Drive, Heard, TOPICS, map_file};
+use crate::common::graph::{Graph, Process, TIMEOUT, eventually};
+use crate::localization::{Drive, Received, TOPICS, map_file};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_mapper");
 const FILTER: &str = env!("CARGO_BIN_EXE_particle_filter");
-/// As rates go on a machine with other things to do.
+/// Playback rate that suits a busy machine.
 const FAST: [&str; 2] = ["--rate", "2"];
 
-/// A mapper that is ready for the bag of a drive, its map in the frame of the truth.
+/// A mapper that is ready for the bag of a drive, with its map in the frame of the truth.
 fn start(graph: &Graph, drive: &Drive, arguments: &[&str]) -> Process {
     let start = drive.initial_pose().replace("localization", "odometry");
     let folder = format!("_mapping/directory:={}", graph.dir.path().display());
     let mapper = graph.spawn(PROGRAM, &[&[&*start, &*folder], arguments].concat());
-    mapper.expect_log("matches ");
+    mapper.expect_log("; poses on ");
     mapper
 }
 
@@ -37,13 +37,13 @@ fn known(map: &OccupancyGrid) -> usize {
     map.cells().iter().filter(|cell| **cell != Cell::Unknown).count()
 }
 
-/// The map that is served.
+/// The map returned by the service.
 fn served(graph: &Graph) -> OccupancyGrid {
     let answer = graph.request("/dynamic_map", &GetMap::msg_type(), &GetMap::md5sum(), &[]);
     map_message::grid(&decode::<MapMessage>(&answer).unwrap()).unwrap()
 }
 
-/// A saved map against the corridor.
+/// Compares a saved map with the corridor.
 fn compare(folder: &Path, name: &str) -> Value {
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     let arguments = ["evaluate", "--map", &path(name), "--truth-map", &path("corridor.yaml"), "--json"];
@@ -53,26 +53,29 @@ fn compare(folder: &Path, name: &str) -> Value {
 }
 
 #[test]
-fn a_drive_becomes_a_map_that_the_particle_filter_finds_the_robot_on() {
+fn the_particle_filter_localizes_on_the_map_of_a_drive() {
     let Some(graph) = Graph::start() else { return };
     let drive = Drive::write(graph.dir.path(), 24.0, |_, _| ());
     map_file(graph.dir.path());
     let mapper = start(&graph, &drive, &["_mapping/name:=hall"]);
     let recorder = graph.record(&["/map", "/icp/odom"]);
     graph.play(&drive.bag, &FAST);
-    graph.spawn(FILTER, &[]).expect_log("has a map of"); // it is latched
+    graph.spawn(FILTER, &[]).expect_log("using a map of"); // the map is latched
     let message = graph.trigger("/mapper/save_map");
     assert!(message.contains("hall.yaml"), "{message}");
     mapper.expect_log("the map is saved");
     let saved = map_file::read(&graph.dir.path().join("hall.yaml")).unwrap();
-    assert!(eventually(|| known(&served(&graph)).abs_diff(known(&saved)) < known(&saved) / 50), "the service has all of it");
+    assert!(
+        eventually(|| known(&served(&graph)).abs_diff(known(&saved)) < known(&saved) / 50),
+        "the service must return the whole map"
+    );
     let folder = graph.dir.path().to_owned();
     let recorded = graph.finish_recording(recorder);
     let (maps, is_smooth) = (recorded_maps(&recorded), is_odometry_smooth(&recorded));
     let seconds = maps[maps.len() - 1].0 - maps[0].0;
     assert!(maps.len() as f64 <= seconds + 2.0, "once a second at most, late ones beside others: {maps:?}");
-    assert!(is_smooth, "the odometry never jumps");
-    assert!(maps.len() > 4 && maps[maps.len() - 1].1 > maps[0].1, "it grows: {maps:?}");
+    assert!(is_smooth, "the odometry must never jump");
+    assert!(maps.len() > 4 && maps[maps.len() - 1].1 > maps[0].1, "the map must grow: {maps:?}");
     assert!(fs::metadata(folder.join("hall.graph")).unwrap().len() > 10_000);
     let found = compare(&folder, "hall.yaml");
     assert!(found["occupied_to_truth"]["over_10_cm"].as_f64().unwrap() < 0.02, "{found}");
@@ -80,15 +83,15 @@ fn a_drive_becomes_a_map_that_the_particle_filter_finds_the_robot_on() {
 
     let map = format!("_localization/map:={}", folder.join("hall.yaml").display());
     let filter = graph.spawn(FILTER, &[&map, &drive.initial_pose()]);
-    filter.expect_log("has a map");
+    filter.expect_log("using a map");
     let recorder = graph.record(&TOPICS);
     graph.play(&drive.bag, &FAST);
-    let heard = Heard::read(&graph.finish_recording(recorder));
-    assert!(heard.poses.len() > 200, "{}", heard.poses.len());
-    heard.check_poses(&drive, 0.15);
+    let received = Received::read(&graph.finish_recording(recorder));
+    assert!(received.poses.len() > 200, "{}", received.poses.len());
+    received.check_poses(&drive, 0.15);
 }
 
-/// Whether the robot can have driven from each pose of the odometry to the next one that was recorded.
+/// Whether the robot can have driven between all successive recorded poses of the odometry.
 fn is_odometry_smooth(bag: &Path) -> bool {
     let bag = Bag::open(bag).unwrap();
     let pose = |odometry: Odometry| (Stamp::from(odometry.header.stamp), planar_pose(&odometry.pose.pose).unwrap());
@@ -98,7 +101,7 @@ fn is_odometry_smooth(bag: &Path) -> bool {
     poses.len() > 50 && poses.windows(2).all(|pair| is_possible(&pair[0], &pair[1]))
 }
 
-/// When each map was recorded, s, and how much of it was known.
+/// The time of each recorded map, s, and its number of known cells.
 fn recorded_maps(bag: &Path) -> Vec<(f64, usize)> {
     let bag = Bag::open(bag).unwrap();
     let messages = bag.messages(Some(&["/map"])).map(Result::unwrap);
@@ -117,21 +120,21 @@ fn the_map_is_saved_when_the_node_ends() {
     map_file(graph.dir.path());
     let mut mapper = start(&graph, &drive, &["_mapping/save_on_exit:=true"]);
     graph.play(&drive.bag, &FAST);
-    // A file that takes its time: the node ends when it is written, and not before.
+    // A slow file: the node must end when it is written, and not before.
     let slow = graph.dir.path().join("map.graph");
     assert!(Command::new("mkfifo").arg(&slow).status().unwrap().success());
     mapper.signal("INT");
     std::thread::sleep(std::time::Duration::from_millis(1500));
     assert!(mapper.is_running(), "{}", mapper.log());
     assert!(fs::read(&slow).unwrap().starts_with(b"ATSMGRAF"));
-    assert_eq!(mapper.exit_code(PATIENCE), Some(0), "{}", mapper.log());
+    assert_eq!(mapper.exit_code(TIMEOUT), Some(0), "{}", mapper.log());
     mapper.expect_log("the map is saved");
     let found = compare(graph.dir.path(), "map.yaml");
     assert!(found["occupied_to_truth"]["over_10_cm"].as_f64().unwrap() < 0.02, "{found}");
 }
 
 #[test]
-fn a_folder_that_is_of_no_use_costs_nothing_but_a_second_try() {
+fn the_map_can_be_saved_after_a_failed_attempt() {
     let Some(graph) = Graph::start() else { return };
     let drive = Drive::write(graph.dir.path(), 5.0, |_, _| ());
     let folder = graph.dir.path().join("maps");
@@ -140,9 +143,9 @@ fn a_folder_that_is_of_no_use_costs_nothing_but_a_second_try() {
     assert!(!success && problem.contains("maps/map.yaml"), "no folder: {problem}");
     fs::create_dir(&folder).unwrap();
     let (success, problem) = graph.call("/mapper/save_map");
-    assert!(!success && problem.contains("nothing has been seen"), "{problem}");
+    assert!(!success && problem.contains("no scan has been added"), "{problem}");
     graph.play(&drive.bag, &FAST);
-    // A folder that nobody can write to, not even the superuser of whom the tests may be.
+    // A folder that nobody can write to, not even root, as which the tests may run.
     fs::remove_dir(&folder).unwrap();
     std::os::unix::fs::symlink("/proc", &folder).unwrap();
     let (success, problem) = graph.call("/mapper/save_map");
@@ -152,11 +155,11 @@ fn a_folder_that_is_of_no_use_costs_nothing_but_a_second_try() {
     fs::create_dir(&folder).unwrap();
     graph.trigger("/mapper/save_map");
     assert!(folder.join("map.pgm").is_file());
-    assert!(graph.spawn(PROGRAM, &["_mapping/name:=../map"]).exit_code(PATIENCE) == Some(1), "a name is no path");
+    assert!(graph.spawn(PROGRAM, &["_mapping/name:=../map"]).exit_code(TIMEOUT) == Some(1), "a name must not be a path");
 }
 
 #[test]
-fn the_launch_file_hands_its_arguments_on() {
+fn the_launch_file_passes_its_arguments() {
     let Some(graph) = Graph::start() else { return };
     let drive = Drive::write(graph.dir.path(), 6.0, |_, _| ());
     let (bag, directory) = (format!("bag:={}", drive.bag.display()), format!("directory:={}", graph.dir.path().display()));
@@ -171,8 +174,8 @@ fn the_launch_file_hands_its_arguments_on() {
         "rate:=2",
     ];
     let mut launch = graph.launch("mapper.launch", &arguments);
-    launch.expect_log("matches /scan with /odom to /scan_match_location");
-    assert!(launch.exit_code(3 * PATIENCE).is_some(), "{}", launch.log());
+    launch.expect_log("matching /scan with /odom; poses on /scan_match_location");
+    assert!(launch.exit_code(3 * TIMEOUT).is_some(), "{}", launch.log());
     let map = map_file::read(&graph.dir.path().join("by_launch.yaml")).unwrap();
     assert!((map.resolution() - 0.1).abs() < 1e-9 && known(&map) > 1000);
     let shown = graph.output("roslaunch", &["--nodes", "anytime_scan_matcher", "mapper.launch", "rviz:=true"]);

@@ -1,4 +1,4 @@
-//! Two lasers on one robot, one on its head and one that looks backwards, each with a node of its own.
+//! Two lasers on one robot, one upside down and one facing backward, each with its own node.
 
 use std::f64::consts::PI;
 use std::path::Path;
@@ -67,7 +67,7 @@ fn write(path: &Path) {
 }
 
 #[test]
-fn two_lasers_one_on_its_head_one_backwards_find_the_same_way() {
+fn an_upside_down_and_a_backward_laser_give_the_same_trajectory() {
     let Some(graph) = Graph::start() else { return };
     let bag = graph.dir.path().join("drive.bag");
     write(&bag);

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use crate::common::drive::{self, EndlessScan, MOUNT, Recording, TOPICS, Text, at, header, pose_message};
-use crate::common::graph::{Graph, NODE, PACKAGE, PATIENCE, Process, call, eventually, installed, within};
+use crate::common::graph::{Graph, NODE, PACKAGE, Process, TIMEOUT, call, eventually, installed, within};
 use crate::common::skipped::skip;
 use crate::common::wire::{Listener, Publisher};
 use anytime_scan_matcher::geometry::Pose2;
@@ -40,9 +40,9 @@ fn live_poses_are_those_of_the_offline_application() {
     recording.check_consistency();
     recording.check_accounts(160);
     assert_eq!(recording.transforms.len(), recording.reports.len());
-    assert_eq!(recording.map_transforms, recording.transforms, "from the map by way of the odometry to the base");
-    assert!(recording.reports.iter().all(|report| report.ok), "every scan can be matched");
-    // A scan that was dropped is no disaster, but then the matches differ a little.
+    assert_eq!(recording.map_transforms, recording.transforms, "from the map through the odometry frame to the base");
+    assert!(recording.reports.iter().all(|report| report.ok), "every scan must be matched");
+    // A dropped scan is allowed, but then the matches differ a little.
     let tolerance = if recording.reports.len() == 160 { 1e-12 } else { 0.01 };
     let expected = drive::offline(&bag);
     for (stamp, pose) in &recording.poses {
@@ -52,7 +52,7 @@ fn live_poses_are_those_of_the_offline_application() {
     check_definitions(&graph, &recorded);
 }
 
-/// The recorded definitions are complete: Python's ROS makes types of them and comes to the same checksum.
+/// Checks that the recorded definitions are complete: Python's ROS generates types from them with the same checksum.
 fn check_definitions(graph: &Graph, recorded: &Path) {
     let script = "import sys, genpy.dynamic as d; n = sys.argv[1]; print(d.generate_dynamic(n, sys.argv[2])[n]._md5sum)";
     let bag = Bag::open(recorded).unwrap();
@@ -67,9 +67,9 @@ fn check_definitions(graph: &Graph, recorded: &Path) {
     }
 }
 
-/// What the folder of the project is called does not come into it.
+/// The name of the project's folder must not matter.
 #[test]
-fn message_types_are_of_the_packages_of_the_definitions() {
+fn message_types_have_the_package_names_of_the_definitions() {
     let definitions = Path::new(env!("CARGO_MANIFEST_DIR")).join("definitions");
     for (package, name) in rosrust_msg::MESSAGES {
         assert!(definitions.join(package).is_dir(), "{package}/{name}");
@@ -77,8 +77,8 @@ fn message_types_are_of_the_packages_of_the_definitions() {
 }
 
 #[test]
-fn message_types_are_those_of_the_ros_installed() {
-    /// Name, checksum and wire form are those of rosrust's type.
+fn message_types_equal_those_of_the_installed_ros() {
+    /// Checks that name, checksum and wire format equal those of rosrust's type.
     fn pair<T: Message + Default, U: rosrust::Message>() -> (&'static str, &'static str) {
         let md5 = T::definition().md5.as_str();
         assert_eq!((T::TYPE, md5), (U::msg_type().as_str(), U::md5sum().as_str()));
@@ -148,24 +148,24 @@ for name in sys.argv[1:]:
 ";
 
 #[test]
-fn at_ten_times_the_speed_and_on_simulated_time_every_scan_is_accounted_for() {
+fn every_scan_is_accounted_for_at_ten_times_the_speed_and_on_simulated_time() {
     let Some(graph) = Graph::start() else { return };
     let bag = graph.dir.path().join("drive.bag");
     drive::write(&bag, 800, |_| ());
-    let recorder = graph.record(&TOPICS); // before there is simulated time: it would wait for that
+    let recorder = graph.record(&TOPICS); // before simulated time is set, for which it would wait
     graph.output("rosparam", &["set", "use_sim_time", "true"]);
     let mut node = graph.node(&[MOUNT]);
     graph.play(&bag, &["--clock", "--rate", "10"]);
     let recording = Recording::read(&graph.finish_recording(recorder), "");
     recording.check_consistency();
     recording.check_accounts(800);
-    // Nobody drives the clock any more: nothing may wait for it.
+    // The clock has stopped: nothing may wait for it.
     node.signal("INT");
     assert_eq!(node.exit_code(SECOND), Some(0));
 }
 
 #[test]
-fn two_nodes_side_by_side_keep_to_their_namespaces() {
+fn two_nodes_stay_in_their_namespaces() {
     let Some(graph) = Graph::start() else { return };
     let bag = graph.dir.path().join("drive.bag");
     drive::write(&bag, 60, |_| ());
@@ -173,13 +173,13 @@ fn two_nodes_side_by_side_keep_to_their_namespaces() {
     let mut left = graph.node(&[&["__ns:=left"][..], &topics].concat());
     let right =
         graph.node(&[&["__ns:=/right", "__name:=matcher", "icp_report:=report", "_publish_tf:=false"][..], &topics].concat());
-    right.expect_log("matches /scan with /odom to /right/scan_match_location");
+    right.expect_log("matching /scan with /odom; poses on /right/scan_match_location");
     let nodes = graph.output("rosnode", &["list"]);
     assert!(nodes.contains("/left/scan_matcher") && nodes.contains("/right/matcher"), "{nodes}");
     assert!(graph.output("rostopic", &["list"]).contains("/right/report"));
     for (topic, message_type) in [("icp_contract", Contract::TYPE), ("imu/data", Imu::TYPE), ("vel", Twist::TYPE)] {
         let found = graph.output("rostopic", &["type", &format!("/left/{topic}")]);
-        assert_eq!(found.trim(), message_type, "{topic}, with nobody to publish it");
+        assert_eq!(found.trim(), message_type, "{topic}, without a publisher");
     }
     let recorder = graph.record(&["/left/icp_report", "/left/icp_state", "/right/scan_match_location", "/right/report"]);
     graph.play(&bag, &[]);
@@ -191,7 +191,7 @@ fn two_nodes_side_by_side_keep_to_their_namespaces() {
 }
 
 #[test]
-fn bad_input_is_refused_by_name_and_good_input_goes_on() {
+fn bad_input_is_rejected_with_its_name_and_valid_input_is_processed() {
     let Some(graph) = Graph::start() else { return };
     let (text, bag) = (graph.dir.path().join("text.bag"), graph.dir.path().join("drive.bag"));
     let mut writer = BagWriter::create(&text, Compression::None).unwrap();
@@ -221,31 +221,34 @@ fn bad_input_is_refused_by_name_and_good_input_goes_on() {
     let recorder = graph.record(&TOPICS);
     graph.play(&bag, &[]);
     let recording = Recording::read(&graph.finish_recording(recorder), "");
-    for said in [
-        "scan: a message from /play",
+    for reported in [
+        "scan: message from /play",
         "the pose has numbers that are not finite",
         "contract refused: translation_error_bound is -1",
         "malformed scan",
     ] {
-        node.expect_log(said);
+        node.expect_log(reported);
     }
     recording.check_consistency();
     for (seconds, report) in recording.timed_reports() {
         let expected = if seconds < 0.9 { 0 } else { 3 };
         assert!((0.9..1.1).contains(&seconds) || report.time_budget.sec == expected, "at {seconds}: {:?}", report.time_budget);
     }
-    assert!(recording.timed_reports().any(|(seconds, report)| seconds > 3.5 && report.ok), "the end of the drive is matched");
-    // The message that could not be read is neither a scan answered nor one dropped; the empty one was answered.
+    assert!(
+        recording.timed_reports().any(|(seconds, report)| seconds > 3.5 && report.ok),
+        "the end of the drive must be matched"
+    );
+    // The unreadable message is neither an answered nor a dropped scan; the empty scan was answered.
     assert!((160..=162).contains(&recording.accounted_for()), "{}", recording.accounted_for());
 }
 
 #[test]
-fn a_topic_without_messages_is_told_with_who_publishes_it_and_what_else_there_is() {
+fn a_silent_topic_is_reported_with_its_publishers_and_alternatives() {
     let Some(graph) = Graph::start() else { return };
     let elsewhere = Publisher::new::<LaserScan>(&graph, "/front_laser", "/front/scan");
     let node = graph.node(&[MOUNT]);
-    let nobody = "topic /scan: no message for 5 s: nobody publishes it; other topics of sensor_msgs/LaserScan: /front/scan";
-    node.expect_log(nobody);
+    let no_publisher = "topic /scan: no message for 5 s: it has no publisher; other topics of sensor_msgs/LaserScan: /front/scan";
+    node.expect_log(no_publisher);
     node.expect_log("scan:=/front/scan");
     let mute = Publisher::new::<LaserScan>(&graph, "/mute_laser", "/scan");
     let _link = mute.link();
@@ -256,7 +259,7 @@ fn a_topic_without_messages_is_told_with_who_publishes_it_and_what_else_there_is
 }
 
 #[test]
-fn a_normal_start_and_a_peer_that_ends_are_no_silence() {
+fn a_normal_start_and_a_peer_that_ends_cause_no_silence_warning() {
     let Some(graph) = Graph::start() else { return };
     let bag = graph.dir.path().join("drive.bag");
     drive::write(&bag, 20, |_| ());
@@ -284,10 +287,10 @@ fn initial_pose_reset_and_a_second_parent_of_the_base() {
     let node = graph.node(&[MOUNT]);
     let recorder = graph.record(&TOPICS);
     let mut player = graph.start_playing(&bag, &[]);
-    node.expect_log("held back");
+    node.expect_log("stops publishing");
     std::thread::sleep(SECOND);
     assert!(graph.trigger("/scan_matcher/reset").contains("initial pose"));
-    assert_eq!(player.exit_code(PATIENCE), Some(0));
+    assert_eq!(player.exit_code(TIMEOUT), Some(0));
     let recording = Recording::read(&graph.finish_recording(recorder), "");
     let firsts: Vec<f64> = recording
         .timed_reports()
@@ -306,14 +309,14 @@ fn initial_pose_reset_and_a_second_parent_of_the_base() {
     assert!(recording.transforms.len() > 20);
     assert!(
         recording.map_transforms.last().unwrap().seconds_since(at(0.0)) > 3.0,
-        "nobody else gives the odometry's frame a parent"
+        "no other node gives the odometry frame a parent"
     );
-    assert_eq!(node.log().matches("held back").count(), 1);
+    assert_eq!(node.log().matches("stops publishing").count(), 1);
 }
 
-/// As `TurtleBot3` has it.
+/// As on a `TurtleBot3`.
 #[test]
-fn odometry_that_reaches_the_base_over_several_transforms_has_its_frame_to_itself() {
+fn the_node_stops_publishing_tf_if_odometry_reaches_the_base_over_several_transforms() {
     let Some(graph) = Graph::start() else { return };
     let bag = graph.dir.path().join("drive.bag");
     let transform = |seconds: f64, parent: &str, child: &str| {
@@ -335,25 +338,25 @@ fn odometry_that_reaches_the_base_over_several_transforms_has_its_frame_to_itsel
     let recording = Recording::read(&graph.finish_recording(recorder), "");
     for transforms in [&recording.transforms, &recording.map_transforms] {
         let last = transforms.last().unwrap().seconds_since(at(0.0));
-        assert!((1.5..2.5).contains(&last), "until the odometry is known to reach the base: {last}");
+        assert!((1.5..2.5).contains(&last), "the transform must end when the odometry is known to reach the base: {last}");
     }
-    assert_eq!(node.log().matches("held back").count(), 2, "{}", node.log());
-    assert!(node.log().contains("odom -> base_link: this node's own to odom"), "{}", node.log());
+    assert_eq!(node.log().matches("stops publishing").count(), 2, "{}", node.log());
+    assert!(node.log().contains("odom -> base_link: this node stops publishing its own transform to odom"), "{}", node.log());
 }
 
 #[test]
-fn rosnode_info_tells_whom_the_node_is_connected_to() {
+fn rosnode_info_lists_the_connections_of_the_node() {
     let Some(graph) = Graph::start() else { return };
     let _node = graph.node(&[MOUNT]);
     let laser = Publisher::new::<LaserScan>(&graph, "/front_laser", "/scan");
     let _link = laser.link();
     let _listener = Listener::new(&graph, "/scan_match_location");
     let info = || graph.output("rosnode", &["info", "/scan_matcher"]);
-    for said in ["* topic: /scan\n    * to: /front_laser", "* topic: /scan_match_location\n    * to: /listener"] {
-        assert!(eventually(|| info().contains(said)), "{}", info());
+    for reported in ["* topic: /scan\n    * to: /front_laser", "* topic: /scan_match_location\n    * to: /listener"] {
+        assert!(eventually(|| info().contains(reported)), "{}", info());
     }
     let info = info();
-    for said in [
+    for reported in [
         "contacting node",
         "Pid:",
         "/scan [sensor_msgs/LaserScan]",
@@ -361,24 +364,24 @@ fn rosnode_info_tells_whom_the_node_is_connected_to() {
         "direction: outbound",
         "/scan_matcher/reset",
     ] {
-        assert!(info.contains(said), "{said}: {info}");
+        assert!(info.contains(reported), "{reported}: {info}");
     }
     assert!(!info.contains("ERROR"), "{info}");
-    for (method, said) in [("getSubscriptions", "sensor_msgs/LaserScan"), ("getBusStats", "/scan_match_location")] {
+    for (method, reported) in [("getSubscriptions", "sensor_msgs/LaserScan"), ("getBusStats", "/scan_match_location")] {
         let answer = call(&graph.node_address("/scan_matcher"), method, &["<string>/test</string>".into()]);
-        assert!(answer.contains(said), "{method}: {answer}");
+        assert!(answer.contains(reported), "{method}: {answer}");
     }
     laser.unregister(&graph);
 }
 
-/// The master says so when somebody has come: a message that is latched for a moment only is not missed, nor heard a second late.
+/// The master reports new publishers, so that a briefly latched message is neither missed nor received a second late.
 #[test]
-fn publishers_that_come_are_heard_at_once() {
+fn new_publishers_are_received_at_once() {
     let Some(graph) = Graph::alone() else { return };
     let node = graph.node(&[MOUNT]);
     let laser = Publisher::new::<LaserScan>(&graph, "/front_laser", "/scan");
     let _link = laser.link();
-    std::thread::sleep(4 * SECOND); // by now it looks around by itself once a second only
+    std::thread::sleep(4 * SECOND); // by now the node polls the master only once a second
     let mut waits: Vec<Duration> = (0..5)
         .map(|number| {
             let start = Instant::now();
@@ -396,11 +399,11 @@ fn publishers_that_come_are_heard_at_once() {
 }
 
 #[test]
-fn our_messages_are_known_from_a_checkout() {
+fn ros_tools_know_our_messages_from_a_checkout() {
     let Some(graph) = Graph::start() else { return };
     let shown = graph.output("rosmsg", &["show", "anytime_scan_matcher/MatchReport"]);
     assert!(shown.contains("std_msgs/Header header") && shown.contains("string disbelieved"), "{shown}");
-    // README's one line for Python.
+    // The README's line for Python.
     let script = format!(". {PACKAGE}/launch/python_messages.sh && exec rostopic echo -n 1 /icp_report");
     let mut shell = graph.command("bash");
     shell.args(["-c", &script]).env("XDG_CACHE_HOME", graph.dir.path().join("cache"));
@@ -416,18 +419,18 @@ fn our_messages_are_known_from_a_checkout() {
         "{}",
         echo.log()
     );
-    assert_eq!(echo.exit_code(PATIENCE), Some(0));
+    assert_eq!(echo.exit_code(TIMEOUT), Some(0));
 }
 
 #[test]
-fn parameters_come_from_a_file_and_mistakes_end_the_node() {
+fn parameters_are_read_from_a_file_and_mistakes_end_the_node() {
     let Some(graph) = Graph::start() else { return };
     let yaml = graph.dir.path().join("car.yaml");
     fs::write(&yaml, "base_frame: car\ncontract: {time_budget: 1}\nodometry: {laser_in_base: [1, 0, 0]}\n").unwrap();
     let config = format!("_config:={}", yaml.display());
     graph
         .node(&[&config, "_odom_frame:=world", "_matching/max_correspondence_distance:=1"])
-        .expect_log("(map -> car; map -> world -> car on /tf), within 1s");
+        .expect_log("(map -> car; map -> world -> car on /tf); contract: within 1s");
     graph.output("rosparam", &["delete", "/scan_matcher"]);
     for (argument, remedy) in [
         ("_matching/max_iteration:=9", "did you mean 'matching.max_iterations'?"),
@@ -438,15 +441,15 @@ fn parameters_come_from_a_file_and_mistakes_end_the_node() {
         ("_base_frame:=odom", "odom_frame: it is 'odom', as base_frame is"),
     ] {
         let mut node = graph.spawn_node(&[argument]);
-        assert_eq!(node.exit_code(PATIENCE), Some(1), "{argument}");
+        assert_eq!(node.exit_code(TIMEOUT), Some(1), "{argument}");
         assert!(node.log().contains(remedy) && node.log().contains("rosparam delete /scan_matcher"), "{}", node.log());
         graph.output("rosparam", &["delete", "/scan_matcher"]);
     }
-    assert!(!graph.master_state().contains("scan_matcher"), "a node that ends takes leave of the master");
+    assert!(!graph.master_state().contains("scan_matcher"), "a node that ends must unregister from the master");
     let mut stray = graph.spawn_node(&["--rate", "10"]);
-    assert_eq!((stray.exit_code(PATIENCE), stray.log().contains("--help")), (Some(2), true));
+    assert_eq!((stray.exit_code(TIMEOUT), stray.log().contains("--help")), (Some(2), true));
     let mut help = graph.spawn_node(&["--help"]);
-    assert_eq!((help.exit_code(PATIENCE), help.log().contains("matching.max_iterations")), (Some(0), true));
+    assert_eq!((help.exit_code(TIMEOUT), help.log().contains("matching.max_iterations")), (Some(0), true));
 }
 
 #[test]
@@ -455,19 +458,19 @@ fn the_launch_file_starts_the_release_build_with_its_arguments() {
     let arguments = ["scan:=/front/scan", "time_budget:=5ms", "base_frame:=car", "laser_in_base:=[1, 0, 0]"];
     let mut launch = graph.launch("scan_matcher.launch", &arguments);
     launch
-        .expect_log("matches /front/scan with /odom to /scan_match_location (map -> car; map -> odom -> car on /tf), within 5ms");
+        .expect_log("matching /front/scan with /odom; poses on /scan_match_location (map -> car; map -> odom -> car on /tf); contract: within 5ms");
     launch.signal("INT");
-    assert!(launch.exit_code(PATIENCE).is_some());
-    for (arguments, said) in [
-        (&["correspondence:=kd_tree", "solver:=linearized"][..], "by kd_tree + linearized"),
-        (&["solver:=point_to_point"], "point_to_point changes nothing with matching.correspondence projective"),
-        (&["matcher:=plicp"], "by jump_table + point_to_line"),
-        (&["matcher:=plicp", "solver:=point_to_point"], "by jump_table + point_to_point"),
+    assert!(launch.exit_code(TIMEOUT).is_some());
+    for (arguments, reported) in [
+        (&["correspondence:=kd_tree", "solver:=linearized"][..], "method: kd_tree + linearized"),
+        (&["solver:=point_to_point"], "point_to_point has no effect with matching.correspondence projective"),
+        (&["matcher:=plicp"], "method: jump_table + point_to_line"),
+        (&["matcher:=plicp", "solver:=point_to_point"], "method: jump_table + point_to_point"),
         (&["matcher:=nonesuch"], "matcher_nonesuch.yaml"),
     ] {
         let launch = graph.launch("scan_matcher.launch", arguments);
-        launch.expect_log(said);
-        assert_eq!(launch.log().contains("WARN"), said.contains("changes nothing"), "{}", launch.log());
+        launch.expect_log(reported);
+        assert_eq!(launch.log().contains("WARN"), reported.contains("has no effect"), "{}", launch.log());
     }
     for arguments in [
         &["scan_matcher.launch"][..],
@@ -481,7 +484,7 @@ fn the_launch_file_starts_the_release_build_with_its_arguments() {
     }
 }
 
-/// The installed tree is laid out as a package's is, and `roslaunch` finds the node in it.
+/// Checks that the installed tree has the layout of a package, and that `roslaunch` finds the node in it.
 fn check_installed(graph: &Graph) {
     let install = graph.dir.path().join("install");
     let programs = ["scan_matcher", "scan_matcher_node", "contract_demo_node", "racecar_sim_node", "anytime"];
@@ -506,7 +509,7 @@ fn check_installed(graph: &Graph) {
     let mut command = graph.command(install.join("env.sh"));
     command.env_remove("ROS_PACKAGE_PATH").args(["roslaunch", "anytime_scan_matcher", "scan_matcher.launch", "name:=installed"]);
     let launch = Process::spawn(command, graph.dir.path());
-    launch.expect_log("/installed: matches /scan");
+    launch.expect_log("/installed: matching /scan");
 }
 
 #[test]
@@ -519,7 +522,7 @@ fn catkin_builds_what_rostopic_needs_to_show_our_messages() {
     fs::create_dir(&source).unwrap();
     std::os::unix::fs::symlink(PACKAGE, source.join("anytime_scan_matcher")).unwrap();
     let mut make = graph.command("catkin_make");
-    // The tests of rostest run in the first python3 there is, which must be ROS's.
+    // The tests of rostest run in the first python3 on the path, which must be ROS's.
     let path = format!("/usr/bin:{}", std::env::var("PATH").unwrap());
     let programs = format!("-DBUILT_PROGRAMS={}", Path::new(NODE).parent().unwrap().display());
     make.env_remove("ROS_PACKAGE_PATH").env("PATH", path).env("ROS_LANG_DISABLE", "gencpp:geneus:genlisp:gennodejs").args([
@@ -552,7 +555,7 @@ fn catkin_builds_what_rostopic_needs_to_show_our_messages() {
         graph.play(&bag, &[]);
         echo.log().contains("mean_residual:")
     }));
-    assert_eq!(echo.exit_code(PATIENCE), Some(0));
+    assert_eq!(echo.exit_code(TIMEOUT), Some(0));
 }
 
 #[test]
@@ -561,7 +564,7 @@ fn the_node_waits_for_a_master_and_survives_its_restart() {
     let mut node = graph.spawn_node(&[]);
     node.expect_log("waiting for it");
     graph.start_master();
-    node.expect_log("matches /scan");
+    node.expect_log("matching /scan");
     graph.stop_master();
     node.expect_log("the ROS master does not answer");
     assert!(node.is_running());
@@ -586,7 +589,7 @@ fn signals_end_the_node_within_a_second() {
     let ends = |mut node: Process, signal: &str| {
         node.signal(signal);
         let start = Instant::now();
-        assert_eq!(node.exit_code(PATIENCE), Some(0), "{signal}: {}", node.log());
+        assert_eq!(node.exit_code(TIMEOUT), Some(0), "{signal}: {}", node.log());
         assert!(start.elapsed() < SECOND, "{signal}: {:?}", start.elapsed());
     };
     for signal in ["INT", "TERM"] {
@@ -607,7 +610,7 @@ fn signals_end_the_node_within_a_second() {
     drive::write(&bag, 200, |_| ());
     let node = graph.node(&[MOUNT]);
     let _player = graph.start_playing(&bag, &["--loop"]);
-    node.expect_log("by odometry.laser_in_base"); // said with the first answer
+    node.expect_log("from odometry.laser_in_base"); // logged with the first answer
     ends(node, "INT");
-    assert!(within(PATIENCE, || !graph.master_state().contains("scan_matcher")), "its name must be gone");
+    assert!(within(TIMEOUT, || !graph.master_state().contains("scan_matcher")), "its name must be gone");
 }

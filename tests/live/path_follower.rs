@@ -1,4 +1,4 @@
-//! The follower beside the built-in simulator.
+//! The path follower with the built-in simulator.
 
 use std::collections::VecDeque;
 use std::io::Write as _;
@@ -22,14 +22,14 @@ use anytime_scan_matcher::time::Stamp;
 use crate::common::drive::pose_message;
 use crate::common::graph::{Graph, PACKAGE, Process, within};
 use crate::common::skipped::skip;
-use crate::common::wire::{Listener, Publisher, frame, say};
+use crate::common::wire::{Listener, Publisher, frame, publish};
 
-/// The car touches a wall when it is this near to the middle of its rear axle, m.
-const GIRTH: f64 = 0.2;
-/// From the plan of a path to the path.
+/// The car touches a wall that is nearer than this to the centre of its rear axle, m.
+const CONTACT_DISTANCE: f64 = 0.2;
+/// Delay from planning a path to its publication.
 const LATE: Duration = Duration::from_secs(2);
 
-/// What was recorded of a drive.
+/// The recording of a drive.
 struct Drive {
     truth: Vec<Pose2>,
     reports: Vec<FollowerReport>,
@@ -48,14 +48,14 @@ impl Drive {
         drive
     }
 
-    /// Way that the car went, m.
+    /// Driven distance, m.
     fn length(&self) -> f64 {
         self.truth.windows(2).map(|pair| pair[0].between(&pair[1]).distance()).sum()
     }
 
-    /// True distances from a path, m, in order.
+    /// True distances from a path, sorted, m.
     fn errors(&self, course: &Course) -> Vec<f64> {
-        // Whichever way round it is driven.
+        // In either direction.
         let there = |pose: &Pose2| course.path.project(pose, 0.0, course.path.length());
         let back = |pose: &Pose2| there(&Pose2::new(pose.x, pose.y, pose.theta + std::f64::consts::PI));
         let distance = |place: Projection| place.distance;
@@ -70,7 +70,7 @@ fn corridor() -> PathBuf {
     Path::new(PACKAGE).join("maps/corridor.yaml")
 }
 
-/// Where it is there; else the corridor.
+/// The map levine if available, otherwise the corridor.
 fn levine() -> PathBuf {
     let levine = Path::new(PACKAGE).join("../shared/data/maps/levine.yaml");
     if levine.exists() {
@@ -84,40 +84,40 @@ fn launch(graph: &Graph, world: &Path, start: &Pose2, arguments: &[&str]) -> Pro
     let (world, start) =
         (format!("world:={}", world.display()), format!("initial_pose:=[{}, {}, {}]", start.x, start.y, start.theta));
     let launch = graph.launch("drive.launch", &[&[world.as_str(), &start][..], arguments].concat());
-    launch.expect_log("simulates a racecar");
-    launch.expect_log("follows paths");
+    launch.expect_log("simulating a racecar");
+    launch.expect_log("following paths");
     launch
 }
 
-/// Records truth and reports for some time.
+/// Records truth and reports for this time.
 fn record(graph: &Graph, time: Duration) -> Drive {
     let recorder = graph.record(&["/odom", "/follower/report"]);
     thread::sleep(time);
     Drive::read(&graph.finish_recording(recorder))
 }
 
-/// The same until the car has gone so far, m, or the time is over.
-fn record_way(graph: &Graph, length: f64, time: Duration) -> Drive {
+/// The same until the car has driven `length`, m, or the time is over.
+fn record_distance(graph: &Graph, length: f64, time: Duration) -> Drive {
     let recorder = graph.record(&["/odom", "/follower/report"]);
     let mut truth = Listener::of(graph, "/racecar_sim", "/odom");
     let mut next = || planar_pose(&truth.next::<Odometry>().pose.pose).unwrap();
-    let (begin, mut last, mut way) = (Instant::now(), next(), 0.0);
-    while way < length && begin.elapsed() < time {
+    let (begin, mut last, mut distance) = (Instant::now(), next(), 0.0);
+    while distance < length && begin.elapsed() < time {
         let pose = next();
-        way += last.between(&pose).distance();
+        distance += last.between(&pose).distance();
         last = pose;
     }
     Drive::read(&graph.finish_recording(recorder))
 }
 
 #[test]
-fn two_laps_at_four_metres_a_second_without_a_touch() {
+fn two_laps_at_four_metres_a_second_do_not_touch_a_wall() {
     let Some(graph) = Graph::alone() else { return };
     let world = levine();
     let course = Course::load(world.to_str().unwrap(), None).unwrap();
     let _launch = launch(&graph, &world, &course.start(0.0), &["speed:=4", "estimator:=particle_filter"]);
-    let way = 2.0 * course.path.length();
-    let drive = record_way(&graph, way, Duration::from_secs_f64(way / 3.0 + 5.0));
+    let length = 2.0 * course.path.length();
+    let drive = record_distance(&graph, length, Duration::from_secs_f64(length / 3.0 + 5.0));
     let (errors, laps) = (drive.errors(&course), drive.length() / course.path.length());
     let mean = errors.iter().sum::<f64>() / errors.len() as f64;
     let worst = *errors.last().unwrap();
@@ -125,23 +125,23 @@ fn two_laps_at_four_metres_a_second_without_a_touch() {
     let stops: Vec<_> = drive.reports.iter().filter(|report| !report.driving).map(|report| report.reason.as_str()).collect();
     eprintln!("{laps:.2} laps, {mean:.3} m off on average, {worst:.3} m at most, {room:.2} m of room, {} stops", stops.len());
     assert!(laps >= 2.0, "{laps} laps: {:?}", stops.first());
-    assert!(room > GIRTH && worst < 0.25, "{worst} m off, {room} m of room");
+    assert!(room > CONTACT_DISTANCE && worst < 0.25, "{worst} m off, {room} m of room");
 }
 
 #[test]
-fn a_raceline_of_a_file_is_driven_by_the_scan_matcher_and_another_law() {
+fn a_raceline_from_a_file_is_driven_with_the_scan_matcher_and_another_law() {
     let Some(graph) = Graph::alone() else { return };
     let course = Course::load(corridor().to_str().unwrap(), None).unwrap();
     let raceline = graph.dir.path().join("raceline.csv");
-    let way = (0..200).map(|step| course.path.point(course.path.length() * f64::from(step) / 200.0));
-    let lines: Vec<String> = way.map(|point| format!("{:.3}; {:.3}; 2.5", point.x, point.y)).collect();
+    let points = (0..200).map(|step| course.path.point(course.path.length() * f64::from(step) / 200.0));
+    let lines: Vec<String> = points.map(|point| format!("{:.3}; {:.3}; 2.5", point.x, point.y)).collect();
     std::fs::write(&raceline, format!("# x_m; y_m; vx_mps\n{}\n", lines.join("\n"))).unwrap();
     let path = format!("path:={}", raceline.display());
     let arguments = ["estimator:=scan_matcher", "law:=proportional", "time_budget:=10ms", &path];
     let launch = launch(&graph, &corridor(), &course.start(0.0), &arguments);
-    launch.expect_log("follows paths by proportional");
-    launch.expect_log("drives");
-    let drive = record_way(&graph, 15.0, Duration::from_secs(20));
+    launch.expect_log("following paths with the control law proportional");
+    launch.expect_log("driving");
+    let drive = record_distance(&graph, 15.0, Duration::from_secs(20));
     let worst = *drive.errors(&course).last().unwrap();
     let fastest = drive.reports.iter().map(|report| report.speed).fold(0.0, f64::max);
     eprintln!("{:.1} m by the scan matcher, {worst:.3} m off at most, up to {fastest:.2} m/s", drive.length());
@@ -150,36 +150,36 @@ fn a_raceline_of_a_file_is_driven_by_the_scan_matcher_and_another_law() {
 }
 
 #[test]
-fn it_drives_to_goals_and_lives_with_paths_nobody_should_send() {
+fn it_drives_to_goals_and_rejects_invalid_paths() {
     let Some(graph) = Graph::start() else { return };
     let start = Pose2::new(0.0, -6.1, 0.0);
     let launch = launch(&graph, &corridor(), &start, &["speed:=2", "estimator:=truth", "path:=none"]);
-    launch.expect_log("stands: no path");
-    thread::sleep(Duration::from_secs(3)); // poses and /tf come
+    launch.expect_log("stopped: no path");
+    thread::sleep(Duration::from_secs(3)); // until poses and /tf have arrived
     let mut goal = PoseStamped { pose: pose_message(Pose2::new(6.0, -5.9, 0.0)), ..PoseStamped::default() };
     goal.header.frame_id = "map".into();
-    say(&graph, "/move_base_simple/goal", &goal, 1);
-    launch.expect_log("drives");
-    launch.expect_log("stands: arrived");
+    publish(&graph, "/move_base_simple/goal", &goal, 1);
+    launch.expect_log("driving");
+    launch.expect_log("stopped: arrived");
     let drive = record(&graph, Duration::from_secs(1));
     let end = drive.truth.last().unwrap();
     assert!((end.x - 6.0).hypot(end.y + 5.9) < 0.15, "{end:?}");
     assert!(drive.reports.iter().all(|report| report.reason == "arrived" && report.speed == 0.0));
-    // Paths with holes, NaN, of one point and in an unknown frame, then a good one.
+    // Paths with gaps, with NaN, with one point and in an unknown frame, then a valid one.
     let nan = f64::NAN;
     let send = |frame: &str, points: &[(f64, f64)], words: &str| {
-        say(&graph, "/path", &path(frame, points), 1);
+        publish(&graph, "/path", &path(frame, points), 1);
         launch.expect_log(words);
-        thread::sleep(Duration::from_secs(1)); // of each subject one line a second is said
+        thread::sleep(Duration::from_secs(1)); // one line per second and subject is logged
     };
-    send("map", &[(6.0, -5.9), (nan, 0.0), (9.0, -5.9)], "refused: point 1 of the path is not finite");
-    send("moon", &[(6.0, -5.9), (9.0, -5.9)], "/tf does not say how they lie");
+    send("map", &[(6.0, -5.9), (nan, 0.0), (9.0, -5.9)], "rejected: point 1 of the path is not finite");
+    send("moon", &[(6.0, -5.9), (9.0, -5.9)], "no transform on /tf from its frame 'moon'");
     send("map", &[(6.0, -5.9)], "the path has no length");
-    send("base_link", &[(0.0, 0.0), (0.5, 0.0), (2.5, 0.0)], "drives");
-    assert!(within(Duration::from_secs(20), || launch.log().matches("stands: arrived").count() >= 2), "{}", launch.log());
+    send("base_link", &[(0.0, 0.0), (0.5, 0.0), (2.5, 0.0)], "driving");
+    assert!(within(Duration::from_secs(20), || launch.log().matches("stopped: arrived").count() >= 2), "{}", launch.log());
 }
 
-/// Sends the way ahead of a car that drives as fast as it may, five times a second, each time as it was planned two seconds before.
+/// Sends the path ahead of a car at the speed limit five times a second, each time as planned two seconds before.
 fn plan_late(graph: &Graph, course: &Course, limits: &SpeedLimits, time: Duration) {
     let publisher = Publisher::new::<PathMessage>(graph, "/planner", "/path");
     let mut link = publisher.link();
@@ -204,20 +204,20 @@ fn plan_late(graph: &Graph, course: &Course, limits: &SpeedLimits, time: Duratio
 }
 
 #[test]
-fn paths_two_seconds_late_and_replanned_leave_no_stop_and_no_step() {
+fn late_and_replanned_paths_cause_no_stops_and_no_jumps() {
     let Some(graph) = Graph::alone() else { return };
     let world = levine();
     let course = Course::load(world.to_str().unwrap(), None).unwrap();
     let launch = launch(&graph, &world, &course.start(0.0), &["speed:=7", "estimator:=truth", "path:=none", "rate:=50"]);
-    launch.expect_log("stands: no path");
+    launch.expect_log("stopped: no path");
     let recorder = graph.record(&["/odom", "/follower/report"]);
     let limits = SpeedLimits { top: 7.0, lateral_acceleration: 4.0, braking: 3.0 };
     plan_late(&graph, &course, &limits, Duration::from_secs(20));
     let drive = Drive::read(&graph.finish_recording(recorder));
     let begin = drive.reports.iter().position(|report| report.driving).unwrap();
-    // It goes on while the last path lasts, and longer than it was sent paths.
+    // It continues on the last path, longer than paths were sent.
     let reports = &drive.reports[begin..begin + 800];
-    // A machine that is busy starves the simulator: what old poses lead to is not of the paths' making.
+    // On a busy machine the simulator starves: stops due to old poses are not caused by the paths.
     let is_fed = |report: &FollowerReport| report.pose_age < 0.1;
     let stopped = reports.iter().filter(|report| is_fed(report) && !report.driving);
     let stops: Vec<_> = stopped.map(|report| report.reason.as_str()).collect();
@@ -231,15 +231,15 @@ fn paths_two_seconds_late_and_replanned_leave_no_stop_and_no_step() {
 }
 
 #[test]
-fn it_goes_on_after_it_was_killed_and_after_poses_had_stopped() {
+fn it_continues_after_a_restart_and_after_a_gap_in_the_poses() {
     let Some(graph) = Graph::start() else { return };
     let (world, start) = (format!("_world:={}", corridor().display()), "_initial_pose:=[0, -6.1, 0]");
     let simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &[&world, start, "_rate:=200", "_scan_rate:=40"]);
-    simulator.expect_log("simulates a racecar");
+    simulator.expect_log("simulating a racecar");
     let map = format!("_map_file:={}", corridor().display());
     let follow = || {
         let follower = graph.spawn(env!("CARGO_BIN_EXE_path_follower"), &[&map, "_drive_round:=true", "_speed:=2", "pose:=odom"]);
-        follower.expect_log("follows a path");
+        follower.expect_log("following a path");
         follower
     };
     let follower = follow();
@@ -251,11 +251,11 @@ fn it_goes_on_after_it_was_killed_and_after_poses_had_stopped() {
     let worst = *drive.errors(&course).last().unwrap();
     assert!(drive.length() > 4.0 && worst < 0.25, "{} m, {worst} m off", drive.length());
     assert!(drive.reports.iter().all(|report| report.driving), "{}", follower.log());
-    // No poses, and no scans.
+    // No poses and no scans.
     simulator.signal("STOP");
-    follower.expect_log("brakes: the pose is");
+    follower.expect_log("braking: the pose is");
     simulator.signal("CONT");
-    assert!(within(Duration::from_secs(20), || follower.log().contains("drives")), "{}", follower.log());
+    assert!(within(Duration::from_secs(20), || follower.log().contains("driving")), "{}", follower.log());
     let drive = record(&graph, Duration::from_secs(3));
     let worst = *drive.errors(&course).last().unwrap();
     assert!(drive.length() > 3.0 && worst < 0.25, "{} m, {worst} m off", drive.length());

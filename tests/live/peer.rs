@@ -1,4 +1,4 @@
-//! A node of our own on the graph: this very test program, started once more with another task.
+//! Another node of our own on the graph: this test program, started again with another task.
 
 use std::process::Command;
 use std::sync::mpsc::{Receiver, channel};
@@ -10,12 +10,12 @@ use rosrust_msg::geometry_msgs::PoseStamped;
 use rosrust_msg::sensor_msgs::LaserScan;
 use rosrust_msg::std_msgs::Empty;
 
-use crate::common::graph::{Graph, PATIENCE, Process};
+use crate::common::graph::{Graph, Process, TIMEOUT};
 
-/// Says to the program that it is a peer.
+/// Tells the program that it is a peer.
 const TASK: &str = "SCAN_MATCHER_TEST_PEER";
 
-/// Starts the peer that calls for answers by `icp_interrupt`, so long after each scan. [`latencies`] reads what it has found out.
+/// Starts the peer that requests answers by `icp_interrupt`, `delay` after each scan. [`latencies`] reads its results.
 pub fn interrupter(graph: &Graph, delay: Duration) -> Process {
     let mut command: Command = graph.command(std::env::current_exe().unwrap());
     command.args(["--exact", "peer::peer", "--ignored", "--nocapture"]).env(TASK, delay.as_micros().to_string());
@@ -24,7 +24,7 @@ pub fn interrupter(graph: &Graph, delay: Duration) -> Process {
     peer
 }
 
-/// Time from the interrupt to its pose, of the answers that were interrupted, in ascending order.
+/// Times from an interrupt to its pose, of the interrupted answers, in ascending order.
 pub fn latencies(peer: &Process) -> Vec<Duration> {
     let log = peer.log();
     let microseconds = log.lines().filter_map(|line| line.strip_prefix("latency ")).map(|text| text.parse().unwrap());
@@ -44,7 +44,7 @@ fn peer() {
     let (scan_sender, scans) = channel();
     let (pose_sender, poses) = channel();
     let (report_sender, reports) = channel();
-    // Nobody listens any more when the process is ending.
+    // There is no receiver when the process is ending.
     let _subscribers = (
         ros.subscribe("scan", 100, move |scan: LaserScan| {
             let _ = scan_sender.send(scan.header.stamp);
@@ -60,7 +60,7 @@ fn peer() {
         .unwrap(),
     );
     println!("ready");
-    while let Ok(stamp) = scans.recv_timeout(PATIENCE) {
+    while let Ok(stamp) = scans.recv_timeout(TIMEOUT) {
         std::thread::sleep(delay);
         let called = Instant::now();
         interrupts.send(Empty {}).unwrap();
@@ -72,7 +72,7 @@ fn peer() {
     }
 }
 
-/// The first message of those that come within a second that `is_it`.
+/// The first message within a second for which `is_it` holds.
 fn find<T>(messages: &Receiver<T>, is_it: impl Fn(&T) -> bool) -> Option<T> {
     loop {
         let message = messages.recv_timeout(Duration::from_secs(1)).ok()?;

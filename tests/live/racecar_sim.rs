@@ -1,4 +1,4 @@
-//! The matcher beside a racecar simulator with `racecar_simulator`'s face: one that publishes the truth, and teleports.
+//! The matcher with a simulator that has the topics of `racecar_simulator`: it publishes the truth, and teleports the car.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -22,19 +22,19 @@ use rosrust::RosMsg as _;
 use rosrust_msg::anytime_scan_matcher::MatchReport;
 
 use crate::common::drive::pose_message;
-use crate::common::graph::{Graph, PACKAGE, PATIENCE, Process, eventually};
+use crate::common::graph::{Graph, PACKAGE, Process, TIMEOUT, eventually};
 use crate::common::skipped::skip;
-use crate::common::wire::{Listener, Publisher, frame, say};
+use crate::common::wire::{Listener, Publisher, frame, publish};
 
-/// Where the simulator is told to put the car: far from where it drives at that time.
-const CARRIED_TO: [Pose2; 2] = [Pose2 { x: 0.0, y: 6.1, theta: 3.1 }, Pose2 { x: 11.4, y: 0.0, theta: 1.57 }];
+/// The pose to which the simulator teleports the car, far from its current one.
+const TELEPORT_TO: [Pose2; 2] = [Pose2 { x: 0.0, y: 6.1, theta: 3.1 }, Pose2 { x: 11.4, y: 0.0, theta: 1.57 }];
 
-/// A recording of this size has scans in it, bytes.
+/// Minimum size of a recording that contains scans, bytes.
 const RECORDED: u64 = 500_000;
-/// Over a longer time than this without scans, and without odometry, a matcher in a corridor cannot know how far the car went, s.
-const LONGEST_BLIND: f64 = 0.25;
+/// Maximum gap without scans and odometry over which a matcher in a corridor can know the driven distance, s.
+const MAX_GAP: f64 = 0.25;
 
-/// What was said of the car.
+/// The recorded poses of the car.
 #[derive(Default)]
 struct Drive {
     truth: BTreeMap<Stamp, Pose2>,
@@ -77,7 +77,7 @@ impl Drive {
         drive
     }
 
-    /// Stamps of the poses before which the car was carried off: it does not go that fast.
+    /// Stamps of the first poses after a teleport, recognised by a speed that the car cannot reach.
     fn teleports(&self) -> Vec<Stamp> {
         let pairs = self.truth.iter().zip(self.truth.iter().skip(1));
         pairs.filter(|((_, a), (_, b))| a.between(b).distance() > 3.0).map(|(_, (stamp, _))| *stamp).collect()
@@ -98,7 +98,7 @@ impl Drive {
     }
 }
 
-/// How far the answers are off, at most, after the first one is put onto its truth if `aligned`.
+/// Maximum error of the answers, after alignment of the first one if `aligned`.
 fn worst(answers: &[(Pose2, Pose2)], aligned: bool) -> f64 {
     let (first_found, first_truth) = answers[0];
     let offset = if aligned { first_truth * first_found.inverse() } else { Pose2::IDENTITY };
@@ -109,61 +109,61 @@ fn wait(seconds: f64) {
     thread::sleep(Duration::from_secs_f64(seconds));
 }
 
-/// Runs the launch file while the car drives by itself and is carried off twice; what was recorded.
+/// Runs the launch file while the car drives by itself and is teleported twice; returns the recording.
 fn drive(graph: &Graph, use_odom: &str) -> Drive {
     let launch: Process = graph
         .launch("racecar_simulator.launch", &["simulator:=built_in", "autopilot:=true", "rate:=200", "scan_rate:=100", use_odom]);
-    launch.expect_log("simulates a racecar in corridor");
-    launch.expect_log("by tf");
+    launch.expect_log("simulating a racecar in corridor");
+    launch.expect_log("from /tf");
     let recorder = graph.record(&["/scan", "/odom", "/scan_match_location", "/icp_report", "/tf"]);
-    // It begins when its links have come about.
+    // The recording begins when its connections are established.
     let recording = graph.dir.path().join("recorded.bag.active");
     assert!(eventually(|| fs::metadata(&recording).is_ok_and(|file| file.len() > RECORDED)), "{}", recorder.log());
     wait(4.0);
-    let mut told = PoseWithCovarianceStamped::default();
-    told.pose.pose = pose_message(CARRIED_TO[0]);
-    say(graph, "/initialpose", &told, 2); // simulator and matcher
+    let mut message = PoseWithCovarianceStamped::default();
+    message.pose.pose = pose_message(TELEPORT_TO[0]);
+    publish(graph, "/initialpose", &message, 2); // simulator and matcher
     wait(4.0);
-    say(graph, "/pose", &PoseStamped { pose: pose_message(CARRIED_TO[1]), ..PoseStamped::default() }, 1);
+    publish(graph, "/pose", &PoseStamped { pose: pose_message(TELEPORT_TO[1]), ..PoseStamped::default() }, 1);
     wait(3.0);
     let drive = Drive::read(&graph.finish_recording(recorder));
-    assert!(!launch.log().contains("held back"), "it has no transform to hold back: {}", launch.log());
+    assert!(!launch.log().contains("stops publishing"), "it publishes no transform anyway: {}", launch.log());
     drive
 }
 
 #[test]
-fn poses_are_the_truth_beside_a_simulator_that_teleports() {
+fn poses_are_right_with_a_simulator_that_teleports() {
     let Some(graph) = Graph::alone() else { return };
     for use_odom in ["use_odom:=true", "use_odom:=false"] {
         let drive = drive(&graph, use_odom);
         let gap = drive.longest_gap();
-        if use_odom == "use_odom:=false" && gap > LONGEST_BLIND {
+        if use_odom == "use_odom:=false" && gap > MAX_GAP {
             skip(&format!("this machine was too busy for {gap:.2} s ({use_odom})"));
             continue;
         }
-        let [told, untold] = drive.teleports()[..] else { panic!("{:?}", drive.teleports()) };
+        let [announced, unannounced] = drive.teleports()[..] else { panic!("{:?}", drive.teleports()) };
         let (start, end) = (*drive.found.keys().next().unwrap(), *drive.found.keys().last().unwrap());
-        // Nobody knows who hears of it first, the car or the matcher.
+        // It is unknown whether the car or the matcher receives the message first.
         let settle = 1.5;
-        let before_answers = drive.answers(start, told.offset_by(-settle));
-        // The car drives before the matcher sees its first scan.
-        let (begun_apart, before) = (worst(&before_answers, false), worst(&before_answers, true));
-        let told_answers = drive.answers(told.offset_by(settle), untold);
-        // Between the one hearing of it and the other, the car drives on.
-        let (heard_apart, after_told) = (worst(&told_answers, false), worst(&told_answers, true));
-        let after_untold = worst(&drive.answers(untold.offset_by(settle), end), true);
-        let failed =
-            drive.failed.range(start..told.offset_by(-settle)).count() + drive.failed.range(untold.offset_by(settle)..).count();
+        let before_answers = drive.answers(start, announced.offset_by(-settle));
+        // The car drives before the matcher receives its first scan.
+        let (start_offset, before) = (worst(&before_answers, false), worst(&before_answers, true));
+        let announced_answers = drive.answers(announced.offset_by(settle), unannounced);
+        // Between the two receptions the car keeps driving.
+        let (reception_offset, after_announced) = (worst(&announced_answers, false), worst(&announced_answers, true));
+        let after_unannounced = worst(&drive.answers(unannounced.offset_by(settle), end), true);
+        let failed = drive.failed.range(start..announced.offset_by(-settle)).count()
+            + drive.failed.range(unannounced.offset_by(settle)..).count();
         eprintln!(
-            "{use_odom}: off by {:.1} mm, {:.1} mm after /initialpose ({:.1} mm by when it was heard), {:.1} mm after /pose, {failed} failed, at \
+            "{use_odom}: off by {:.1} mm, {:.1} mm after /initialpose ({:.1} mm from the time of reception), {:.1} mm after /pose, {failed} failed, at \
              most {gap:.2} s without an answer",
             1e3 * before,
-            1e3 * after_told,
-            1e3 * heard_apart,
-            1e3 * after_untold
+            1e3 * after_announced,
+            1e3 * reception_offset,
+            1e3 * after_unannounced
         );
         assert!(
-            before < 0.05 && begun_apart < 5.0 && after_told < 0.05 && heard_apart < 5.0 && after_untold < 0.05,
+            before < 0.05 && start_offset < 5.0 && after_announced < 0.05 && reception_offset < 5.0 && after_unannounced < 0.05,
             "{use_odom}"
         );
         assert_eq!(failed, 0);
@@ -175,25 +175,25 @@ fn poses_are_the_truth_beside_a_simulator_that_teleports() {
     }
 }
 
-/// `RViz`'s "2D Pose Estimate", again and again: simulator and matcher both hear it, one of them first.
+/// Sends `RViz`'s "2D Pose Estimate" repeatedly: simulator and matcher both receive it, one of them first.
 fn set_poses(scan_rate: u32) {
-    const TRIES: usize = 40;
+    const TRIALS: usize = 40;
     let Some(graph) = Graph::start() else { return };
-    let places = [CARRIED_TO[0], Pose2::new(-11.5, 0.0, -1.57), CARRIED_TO[1], Pose2::new(0.0, -6.1, 0.0)];
+    let places = [TELEPORT_TO[0], Pose2::new(-11.5, 0.0, -1.57), TELEPORT_TO[1], Pose2::new(0.0, -6.1, 0.0)];
     let argument = format!("_scan_rate:={scan_rate}");
     let simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &["_autopilot:=true", "_rate:=200", &argument]);
-    simulator.expect_log("simulates a racecar in corridor");
+    simulator.expect_log("simulating a racecar in corridor");
     let node = graph.node(&["odom:=no_odom", "_odom_frame:=icp_odom"]);
-    node.expect_log("by tf");
+    node.expect_log("from /tf");
     let speaker = Publisher::new::<PoseWithCovarianceStamped>(&graph, "/speaker", "/initialpose");
     let mut links = [speaker.link(), speaker.link()];
     let recorder = graph.record(&["/odom", "/scan_match_location"]);
     wait(1.0);
-    for number in 0..TRIES {
-        let mut told = PoseWithCovarianceStamped::default();
-        told.pose.pose = pose_message(places[number % places.len()]);
-        let bytes = frame(&messages::encode(&told).unwrap());
-        links.rotate_left(number % 2); // now the one first, now the other
+    for number in 0..TRIALS {
+        let mut message = PoseWithCovarianceStamped::default();
+        message.pose.pose = pose_message(places[number % places.len()]);
+        let bytes = frame(&messages::encode(&message).unwrap());
+        links.rotate_left(number % 2); // alternate which one receives it first
         for link in &mut links {
             link.write_all(&bytes).unwrap();
         }
@@ -201,7 +201,7 @@ fn set_poses(scan_rate: u32) {
     }
     let drive = Drive::read(&graph.finish_recording(recorder));
     let teleports = drive.teleports();
-    assert!(teleports.len() >= TRIES - 1, "{} teleports", teleports.len()); // the car may be there already
+    assert!(teleports.len() >= TRIALS - 1, "{} teleports", teleports.len()); // the car may already be there
     let errors: Vec<f64> = teleports
         .iter()
         .filter_map(|teleport| {
@@ -217,25 +217,25 @@ fn set_poses(scan_rate: u32) {
         errors.len(),
         errors.iter().copied().fold(0.0, f64::max)
     );
-    assert!(errors.len() >= TRIES - 4 && wrong == 0, "{errors:?}");
+    assert!(errors.len() >= TRIALS - 4 && wrong == 0, "{errors:?}");
 }
 
 #[test]
-fn poses_that_are_set_while_scans_are_on_their_way_are_right() {
+fn poses_set_while_scans_are_in_transit_are_right() {
     set_poses(40);
 }
 
 #[test]
-fn poses_that_are_set_while_scans_come_fast_are_right() {
+fn poses_set_at_a_high_scan_rate_are_right() {
     set_poses(200);
 }
 
 #[test]
-fn poses_that_are_set_while_scans_come_as_fast_as_they_can_are_right() {
+fn poses_set_at_the_highest_scan_rate_are_right() {
     set_poses(1000);
 }
 
-/// Where the car was at a time.
+/// The true pose of the car at a time.
 fn interpolated(truth: &BTreeMap<Stamp, Pose2>, stamp: Stamp) -> Option<Pose2> {
     let (before, a) = truth.range(..=stamp).next_back()?;
     let (after, b) = truth.range(stamp..).next()?;
@@ -243,21 +243,21 @@ fn interpolated(truth: &BTreeMap<Stamp, Pose2>, stamp: Stamp) -> Option<Pose2> {
     Some(if span > 0.0 { a.interpolate(b, stamp.seconds_since(*before) / span) } else { *a })
 }
 
-/// A car that nobody drives stands still; one that is told to goes, by either topic.
+/// The car stands still without commands, and drives with commands on either topic.
 #[test]
 fn the_simulator_obeys_drive_and_cmd_vel() {
     let Some(graph) = Graph::start() else { return };
     let mut simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &["_world:=room", "_rate:=100", "_scan_rate:=20"]);
-    simulator.expect_log("simulates a racecar in room");
+    simulator.expect_log("simulating a racecar in room");
     let recorder = graph.record(&["/odom"]);
     let forward = Twist { linear: Vector3 { x: 0.5, ..Vector3::default() }, angular: Vector3 { z: 0.3, ..Vector3::default() } };
     wait(1.0);
-    say(&graph, "/cmd_vel", &forward, 1);
+    publish(&graph, "/cmd_vel", &forward, 1);
     wait(2.0);
     let backward = AckermannDrive { speed: -0.4, steering_angle: 0.2, ..AckermannDrive::default() };
-    say(&graph, "/drive", &AckermannDriveStamped { drive: backward, ..AckermannDriveStamped::default() }, 1);
+    publish(&graph, "/drive", &AckermannDriveStamped { drive: backward, ..AckermannDriveStamped::default() }, 1);
     wait(2.0);
-    say(&graph, "/cmd_vel", &Twist::default(), 1);
+    publish(&graph, "/cmd_vel", &Twist::default(), 1);
     wait(1.0);
     let truth: Vec<Pose2> = Drive::read(&graph.finish_recording(recorder)).truth.into_values().collect();
     let (first, last) = (truth[0], truth[truth.len() - 1]);
@@ -269,9 +269,10 @@ fn the_simulator_obeys_drive_and_cmd_vel() {
     );
     let turn_per_metre = |forwards: bool| {
         let moving = steps.iter().filter(|step| if forwards { step.x > 1e-4 } else { step.x < -1e-4 });
-        let (way, turn) = moving.fold((0.0, 0.0), |(way, turn), step| (way + step.x, turn + step.theta));
-        assert!(way.abs() > 0.3, "{way} m, from {first:?} to {last:?}");
-        turn / way
+        let (distance, rotation) =
+            moving.fold((0.0, 0.0), |(distance, rotation), step| (distance + step.x, rotation + step.theta));
+        assert!(distance.abs() > 0.3, "{distance} m, from {first:?} to {last:?}");
+        rotation / distance
     };
     assert!((turn_per_metre(true) - 0.6).abs() < 0.05, "{}", turn_per_metre(true));
     assert!((turn_per_metre(false) - 0.2_f64.tan() / 0.3302).abs() < 0.05, "{}", turn_per_metre(false));
@@ -279,14 +280,14 @@ fn the_simulator_obeys_drive_and_cmd_vel() {
     assert_eq!(simulator.exit_code(Duration::from_secs(2)), Some(0));
     for (argument, remedy) in [("_world:=nowhere.yaml", "nowhere.yaml"), ("_scan_beam:=3", "did you mean 'scan_beams'?")] {
         let mut simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &[argument]);
-        assert_eq!(simulator.exit_code(PATIENCE), Some(1), "{argument}");
+        assert_eq!(simulator.exit_code(TIMEOUT), Some(1), "{argument}");
         assert!(simulator.log().contains(remedy), "{}", simulator.log());
         graph.output("rosparam", &["delete", "/racecar_sim"]);
     }
 }
 
-/// F1TENTH's simulator is not packaged: packages of its names, with launch files of its own names and nodes, stand in for it. What
-/// their nodes do does not matter here.
+/// F1TENTH's simulator is not packaged for Debian, so dummy packages with the same names of launch files and nodes stand in for it. The nodes
+/// do nothing.
 fn write_simulator(graph: &Graph, package: &str) {
     let folder = graph.dir.path().join(package);
     fs::create_dir_all(folder.join("launch")).unwrap();
@@ -305,7 +306,7 @@ fn packages(graph: &Graph) -> String {
 }
 
 #[test]
-fn the_launch_file_starts_f1tenths_simulator_where_there_is_one() {
+fn the_launch_file_starts_f1tenths_simulator_if_installed() {
     let Some(graph) = Graph::without_master() else { return };
     for package in ["racecar_simulator", "f1tenth_simulator"] {
         write_simulator(&graph, package);
@@ -330,12 +331,12 @@ fn the_launch_file_starts_f1tenths_simulator_where_there_is_one() {
         }
     }
     let unknown = launch("gazebo", "false");
-    let said = String::from_utf8_lossy(&unknown.stderr);
-    assert!(!unknown.status.success() && said.contains("simulator:=gazebo is none of auto, f1tenth_simulator"), "{said}");
+    let reported = String::from_utf8_lossy(&unknown.stderr);
+    assert!(!unknown.status.success() && reported.contains("simulator:=gazebo is none of auto, f1tenth_simulator"), "{reported}");
 }
 
 #[test]
-fn the_launch_file_finds_the_simulator_that_is_there_and_does_not_predict_from_the_truth() {
+fn the_launch_file_finds_the_installed_simulator_and_does_not_predict_from_the_truth() {
     let Some(graph) = Graph::start() else { return };
     let nodes = |running: &[&str]| {
         let state = || graph.output("rosnode", &["list"]);
@@ -343,9 +344,9 @@ fn the_launch_file_finds_the_simulator_that_is_there_and_does_not_predict_from_t
     };
     let own = graph.launch("racecar_simulator.launch", &["autopilot:=true", "rate:=100", "scan_rate:=20", "world:=room"]);
     own.expect_log("simulator:=built_in");
-    own.expect_log("simulates a racecar in room");
+    own.expect_log("simulating a racecar in room");
     nodes(&["/racecar_sim", "/scan_matcher"]);
-    own.expect_log("matches /scan with /no_odom");
+    own.expect_log("matching /scan with /no_odom");
     drop(own);
 
     for package in ["racecar_simulator", "f1tenth_simulator"] {
@@ -353,17 +354,17 @@ fn the_launch_file_finds_the_simulator_that_is_there_and_does_not_predict_from_t
         let path = packages(&graph);
         let theirs = graph.launch_with("racecar_simulator.launch", &["use_odom:=true"], &[("ROS_PACKAGE_PATH", &path)]);
         theirs.expect_log(&format!("simulator:={package}"));
-        theirs.expect_log("matches /scan with /odom");
+        theirs.expect_log("matching /scan with /odom");
     }
 }
 
-/// As fast as `racecar_simulator`: 1000 Hz on a quiet machine. A quarter is asked of a busy one.
+/// As fast as `racecar_simulator`: 1000 Hz on a quiet machine. A busy one must reach a quarter of that.
 #[test]
-fn scans_and_odometry_come_a_thousand_times_a_second() {
+fn scans_and_odometry_are_published_at_1000_hz() {
     const MOMENT: f64 = 5.0;
     let Some(graph) = Graph::alone() else { return };
     let simulator = graph.spawn(env!("CARGO_BIN_EXE_racecar_sim"), &["_autopilot:=true"]);
-    simulator.expect_log("simulates a racecar in corridor");
+    simulator.expect_log("simulating a racecar in corridor");
     let rate = |topic: &str| {
         let mut listener = Listener::of(&graph, "/racecar_sim", topic);
         thread::spawn(move || {

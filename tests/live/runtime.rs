@@ -1,4 +1,4 @@
-//! What can be asked of a node, and changed, while it runs.
+//! Services and parameter changes while a node runs.
 
 use std::fs;
 
@@ -8,7 +8,7 @@ use crate::common::drive::{self, MOUNT, Recording, TOPICS};
 use crate::common::graph::{Graph, eventually};
 
 #[test]
-fn what_matching_costs_is_saved_on_call_to_the_file_of_the_parameter_only() {
+fn matching_costs_are_saved_on_request_only_to_the_configured_file() {
     let Some(graph) = Graph::start() else { return };
     let node = graph.node(&[]);
     let (done, problem) = graph.call("/scan_matcher/save_profile");
@@ -17,13 +17,13 @@ fn what_matching_costs_is_saved_on_call_to_the_file_of_the_parameter_only() {
     let costs = graph.dir.path().join("costs.yaml");
     let _node = graph.node(&[&format!("_contract/cost_file:={}", costs.display())]);
     assert!(!costs.exists());
-    let (done, said) = graph.call("/scan_matcher/save_profile");
-    assert!(done && said.contains("costs.yaml"), "{said}");
-    assert!(fs::read_to_string(&costs).unwrap().contains("iteration"), "learned by the warm-up");
+    let (done, reported) = graph.call("/scan_matcher/save_profile");
+    assert!(done && reported.contains("costs.yaml"), "{reported}");
+    assert!(fs::read_to_string(&costs).unwrap().contains("iteration"), "the warm-up must have learned costs");
 }
 
 #[test]
-fn parameters_change_at_run_time_where_that_makes_sense_and_are_refused_elsewhere() {
+fn only_some_parameters_can_change_at_run_time() {
     let Some(graph) = Graph::start() else { return };
     let bag = graph.dir.path().join("drive.bag");
     drive::write(&bag, 320, |_| ());
@@ -31,7 +31,7 @@ fn parameters_change_at_run_time_where_that_makes_sense_and_are_refused_elsewher
     let node = graph.node(&[&[MOUNT][..], &to_the_end].concat());
     let recorder = graph.record(&TOPICS);
     let mut player = graph.start_playing(&bag, &[]);
-    node.expect_log("by odometry.laser_in_base"); // said with the first answer
+    node.expect_log("from odometry.laser_in_base"); // logged with the first answer
     for (name, value) in [
         ("contract/time_budget", "7ms"),
         ("matching/max_iterations", "1"),
@@ -41,14 +41,14 @@ fn parameters_change_at_run_time_where_that_makes_sense_and_are_refused_elsewher
     ] {
         graph.output("rosparam", &["set", &format!("/scan_matcher/{name}"), value]);
     }
-    for said in [
-        "contract.time_budget = \"7ms\": in force",
-        "matching.max_iterations = 1: in force",
-        "publish_tf = true: in force",
-        "matching.solver = \"linearized\": no effect: it takes effect when the node is started again",
+    for reported in [
+        "contract.time_budget = \"7ms\": now in effect",
+        "matching.max_iterations = 1: now in effect",
+        "publish_tf = true: now in effect",
+        "matching.solver = \"linearized\": change ignored: it takes effect after a restart of the node",
         "did you mean 'matching.max_iterations'?",
     ] {
-        node.expect_log(said);
+        node.expect_log(reported);
     }
     assert!(eventually(|| !player.is_running()));
     let recording = Recording::read(&graph.finish_recording(recorder), "");
@@ -59,5 +59,5 @@ fn parameters_change_at_run_time_where_that_makes_sense_and_are_refused_elsewher
     assert!(recording.reports.iter().any(|report| report.iterations > 2) && last.iterations <= 2, "{last:?}");
     let transforms = recording.transforms.len();
     assert!(transforms > 0 && transforms < recording.reports.len(), "{transforms} of {}", recording.reports.len());
-    assert_eq!(node.log().matches("no effect").count(), 2, "each is said once: {}", node.log());
+    assert_eq!(node.log().matches("change ignored").count(), 2, "each must be logged once: {}", node.log());
 }

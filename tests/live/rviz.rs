@@ -1,4 +1,4 @@
-//! The picture that `RViz` makes of a match, on a screen in memory.
+//! The display of a match in `RViz`, on a virtual screen.
 
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::common::graph::{Graph, PACKAGE, Process, within};
 use crate::common::skipped::skip;
 
-/// `RViz` is not asked for where it is not there.
+/// Whether a program is installed. Reports the test as skipped if not.
 fn is_there(program: &str) -> bool {
     let there =
         Command::new("sh").args(["-c", &format!("command -v {program}")]).stdout(Stdio::null()).status().unwrap().success();
@@ -16,7 +16,7 @@ fn is_there(program: &str) -> bool {
     there
 }
 
-/// The screen of an X server in memory, and its name.
+/// A virtual X server, and the name of its display.
 fn screen(graph: &Graph) -> (Process, String) {
     let named = graph.dir.path().join("display");
     let mut command = graph.command("sh");
@@ -28,7 +28,7 @@ fn screen(graph: &Graph) -> (Process, String) {
     (server, format!(":{}", number()))
 }
 
-/// How many points of the screen have about the colours of the reference, of the matched points, and of the path.
+/// Numbers of pixels with about the colours of the reference, of the matched points, and of the path.
 fn points_of_each_colour(display: &str) -> [usize; 3] {
     const COLOURS: [[u8; 3]; 3] = [[89, 115, 166], [242, 140, 26], [80, 200, 120]];
     let taken = Command::new("import").args(["-window", "root", "-depth", "8", "rgb:-"]).env("DISPLAY", display).output();

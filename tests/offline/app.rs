@@ -1,11 +1,11 @@
-//! The application against everything a robot may send it.
+//! The application with everything that a robot may send it.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::common::{Laser, room_range};
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::{Answering as _, App, Estimate, InputError, MountSource};
+use anytime_scan_matcher::app::{App, Estimate, InputError, MountSource, ScanProcessor as _};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::matching::StopReason;
@@ -48,8 +48,8 @@ fn answer(app: &mut App, message: &LaserScan) -> Estimate {
     estimate
 }
 
-/// A slow turn through the room, seen from its start.
-fn way(seconds: f64) -> Pose2 {
+/// The true pose on a slow arc through the room, relative to its start.
+fn true_pose(seconds: f64) -> Pose2 {
     Pose2::new(0.4 * seconds, 0.2 * seconds, 0.3 * seconds)
 }
 
@@ -61,19 +61,19 @@ fn assert_near(found: Pose2, expected: Pose2, tolerance: f64) {
 fn reason(estimate: &Estimate) -> &str {
     match &estimate.registration.outcome {
         Outcome::Predicted(failure) => &failure.text,
-        other => panic!("{other:?} is no prediction"),
+        other => panic!("{other:?} is not a prediction"),
     }
 }
 
 #[test]
-fn scans_alone_give_the_way() {
+fn scans_alone_give_the_trajectory() {
     let mut app = app(&["odometry.initial_pose=[1, 2, 0.5]"]);
     let start = Pose2::new(1.0, 2.0, 0.5);
     for i in 0..40 {
         let seconds = f64::from(i) * 0.05;
-        let estimate = answer(&mut app, &scan_at(seconds, way(seconds)));
+        let estimate = answer(&mut app, &scan_at(seconds, true_pose(seconds)));
         assert!(estimate.registration.outcome.is_ok(), "{i}: {:?}", estimate.registration.outcome);
-        assert_near(estimate.registration.odom_from_base, start * way(seconds), 0.01);
+        assert_near(estimate.registration.odom_from_base, start * true_pose(seconds), 0.01);
         assert_eq!(Stamp::from_seconds(START + seconds), estimate.stamp);
         if i > 2 {
             let twist = estimate.registration.twist;
@@ -84,7 +84,7 @@ fn scans_alone_give_the_way() {
 }
 
 #[test]
-fn the_lasers_place_on_the_robot_counts() {
+fn the_laser_pose_on_the_robot_is_used() {
     let mount = Pose2::new(0.3, -0.1, 2.8);
     let mut by_parameter = app(&["odometry.laser_in_base=[0.3, -0.1, 2.8]"]);
     let mut by_transforms = app(&[]);
@@ -95,8 +95,8 @@ fn the_lasers_place_on_the_robot_counts() {
     for i in 0..20 {
         let seconds = f64::from(i) * 0.05;
         for app in [&mut by_parameter, &mut by_transforms] {
-            let estimate = answer(app, &scan_at(seconds, way(seconds) * mount));
-            assert_near(estimate.registration.odom_from_base, way(seconds), 0.01);
+            let estimate = answer(app, &scan_at(seconds, true_pose(seconds) * mount));
+            assert_near(estimate.registration.odom_from_base, true_pose(seconds), 0.01);
         }
     }
     assert_eq!(by_parameter.mount().1, MountSource::Parameter);
@@ -104,142 +104,145 @@ fn the_lasers_place_on_the_robot_counts() {
 }
 
 #[test]
-fn scans_that_come_before_the_lasers_place_is_known_shift_nothing() {
+fn scans_before_the_laser_pose_is_known_do_not_shift_the_pose() {
     let mount = Pose2::new(0.3, -0.1, 0.5);
     let mut app = app(&["odometry.initial_pose=[1, 2, 0.5]"]);
     let start = Pose2::new(1.0, 2.0, 0.5);
     for i in 0..3 {
         assert_near(answer(&mut app, &scan_at(f64::from(i) * 0.05, mount)).registration.odom_from_base, start, 0.002);
     }
-    place(&mut app, "base_link", "laser", mount.into());
+    send_transform(&mut app, "base_link", "laser", mount.into());
     for i in 0..60 {
         let seconds = f64::from(i) * 0.05;
-        let estimate = answer(&mut app, &scan_at(seconds + 0.15, way(seconds) * mount));
-        assert_near(estimate.registration.odom_from_base, start * way(seconds), 0.01);
+        let estimate = answer(&mut app, &scan_at(seconds + 0.15, true_pose(seconds) * mount));
+        assert_near(estimate.registration.odom_from_base, start * true_pose(seconds), 0.01);
     }
-    assert_eq!(app.take_remarks(), [""; 0], "the laser has not moved");
+    assert_eq!(app.take_warnings(), [""; 0], "the laser has not moved");
 }
 
 #[test]
-fn transforms_that_come_late_are_told() {
+fn late_transforms_are_reported() {
     let mut app = app(&[]);
     for seconds in [0.0, 2.0, 4.0] {
         if seconds > 3.0 {
-            place(&mut app, "base_link", "laser", Pose2::IDENTITY.into());
+            send_transform(&mut app, "base_link", "laser", Pose2::IDENTITY.into());
         }
         answer(&mut app, &scan_at(seconds, Pose2::IDENTITY));
     }
-    assert!(app.take_remarks()[0].starts_with("no transform to the laser 'laser' came for 4.0 s"));
+    assert!(app.take_warnings()[0].starts_with("no transform to the laser 'laser' came for 4.0 s"));
 }
 
-/// tf says that `child` is at this place on `parent`.
-fn place(app: &mut App, parent: &str, child: &str, transform: Transform) {
+/// Sends the transform of `child` on `parent` by tf.
+fn send_transform(app: &mut App, parent: &str, child: &str, transform: Transform) {
     let mut transform = TransformStamped { child_frame_id: child.into(), transform, ..TransformStamped::default() };
     transform.header.frame_id = parent.into();
     app.on_transforms(&TFMessage { transforms: vec![transform] }).unwrap();
 }
 
 #[test]
-fn a_laser_that_pans_is_followed() {
+fn a_panning_laser_is_followed() {
     let mut app = app(&[]);
     for i in 0..60 {
         let seconds = f64::from(i) * 0.05;
         let mount = Pose2::new(0.2, 0.1, 0.6 * (2.0 * seconds).sin());
-        place(&mut app, "base_link", "laser", mount.into());
-        let estimate = answer(&mut app, &scan_at(seconds, way(seconds) * mount));
-        assert_near(estimate.registration.odom_from_base, way(seconds), 0.01);
+        send_transform(&mut app, "base_link", "laser", mount.into());
+        let estimate = answer(&mut app, &scan_at(seconds, true_pose(seconds) * mount));
+        assert_near(estimate.registration.odom_from_base, true_pose(seconds), 0.01);
     }
-    assert!(app.take_remarks().iter().any(|remark| remark.contains("poses follow tf")), "by up to 3 degrees from scan to scan");
+    assert!(
+        app.take_warnings().iter().any(|remark| remark.contains("used as published")),
+        "the mount moves by up to 3 degrees from scan to scan"
+    );
 }
 
-/// One looks to the front, one to the rear; none sees what the other does.
+/// One laser faces forward, one backward; their views do not overlap.
 #[test]
-fn two_lasers_back_to_back_take_turns() {
+fn two_lasers_back_to_back_alternate_on_one_topic() {
     let mut app = app(&[]);
     let mounts = [("front", Pose2::new(0.3, 0.0, 0.0)), ("rear", Pose2::new(-0.2, 0.1, 3.1))];
     for (frame, mount) in mounts {
-        place(&mut app, "base_link", frame, mount.into());
+        send_transform(&mut app, "base_link", frame, mount.into());
     }
     for i in 0..120 {
         let seconds = f64::from(i) * 0.025;
         let (frame, mount) = mounts[usize::from(i % 2 == 1)];
-        app.on_odometry(&odometry_at(seconds, way(seconds))).unwrap();
+        app.on_odometry(&odometry_at(seconds, true_pose(seconds))).unwrap();
         let laser = Laser::with_field_of_view(170.0, 171);
-        let mut message = laser.message(Stamp::from_seconds(START + seconds), way(seconds) * mount);
+        let mut message = laser.message(Stamp::from_seconds(START + seconds), true_pose(seconds) * mount);
         message.header.frame_id = frame.into();
         let estimate = answer(&mut app, &message);
         assert_eq!(estimate.registration.outcome.is_ok(), i != 1, "{i}: {:?}", estimate.registration.outcome);
-        assert_near(estimate.registration.odom_from_base, way(seconds), 0.02);
+        assert_near(estimate.registration.odom_from_base, true_pose(seconds), 0.02);
     }
     assert!(app.odometry_counters().keyframes < 20, "{} keyframes", app.odometry_counters().keyframes);
 }
 
 #[test]
-fn a_base_that_rolls_and_pitches_forgets_nothing() {
+fn rolling_and_pitching_keeps_the_keyframes() {
     let mut app = app(&["base_frame=base_footprint"]);
-    place(&mut app, "base_link", "laser", Pose2::new(0.2, 0.0, 0.0).into());
+    send_transform(&mut app, "base_link", "laser", Pose2::new(0.2, 0.0, 0.0).into());
     for i in 0..60 {
         let seconds = f64::from(i) * 0.05;
         let (roll, pitch) = (0.03 * (9.0 * seconds).sin(), 0.03 * (7.0 * seconds).cos());
         let rotation = Quaternion { x: 0.5 * roll, y: 0.5 * pitch, z: 0.0, w: 1.0 };
-        place(&mut app, "base_footprint", "base_link", Transform { rotation, ..Transform::default() });
-        let estimate = answer(&mut app, &scan_at(seconds, way(seconds) * Pose2::new(0.2, 0.0, 0.0)));
+        send_transform(&mut app, "base_footprint", "base_link", Transform { rotation, ..Transform::default() });
+        let estimate = answer(&mut app, &scan_at(seconds, true_pose(seconds) * Pose2::new(0.2, 0.0, 0.0)));
         assert!(i == 0 || estimate.registration.outcome == Outcome::Matched, "{:?}", estimate.registration.outcome);
-        assert_near(estimate.registration.odom_from_base, way(seconds), 0.01);
+        assert_near(estimate.registration.odom_from_base, true_pose(seconds), 0.01);
     }
     assert!(app.odometry_counters().keyframes < 12, "{:?}", app.odometry_counters());
 }
 
 #[test]
-fn a_mount_that_jumps_is_said() {
+fn a_mount_that_jumps_is_reported() {
     let mut app = app(&[]);
     for i in 0..20 {
         let seconds = f64::from(i) * 0.05;
         let mount = if i < 10 { Pose2::new(0.2, 0.0, 0.0) } else { Pose2::new(0.5, 0.0, 0.0) };
-        place(&mut app, "base_link", "laser", mount.into());
-        let estimate = answer(&mut app, &scan_at(seconds, way(seconds) * mount));
-        assert_near(estimate.registration.odom_from_base, way(seconds), 0.01);
+        send_transform(&mut app, "base_link", "laser", mount.into());
+        let estimate = answer(&mut app, &scan_at(seconds, true_pose(seconds) * mount));
+        assert_near(estimate.registration.odom_from_base, true_pose(seconds), 0.01);
     }
-    let remarks = app.take_remarks();
+    let remarks = app.take_warnings();
     assert!(remarks.iter().any(|remark| remark.contains("moved on the base by 0.300 m")), "{remarks:?}");
 }
 
-/// A laser whose roll tf says by a half turn about x, if at all.
-fn with_laser_on_its_head(parameter: &[&str], by_tf: bool) -> App {
+/// An application whose laser is upside down: by tf (half a turn about x) or not, as `by_tf` says.
+fn with_upside_down_laser(parameter: &[&str], by_tf: bool) -> App {
     let mut app = app(parameter);
     let upside_down = Transform { rotation: Quaternion { x: 1.0, y: 0.0, z: 0.0, w: 0.0 }, ..Transform::default() };
     if by_tf {
-        place(&mut app, "base_link", "laser", upside_down);
+        send_transform(&mut app, "base_link", "laser", upside_down);
     }
     app
 }
 
 #[test]
-fn a_laser_on_its_head_sees_the_same() {
+fn an_upside_down_laser_sees_the_same() {
     let by_parameter = ["odometry.laser_in_base=[0, 0, 0, 3.1416]"];
     let place_alone = ["odometry.laser_in_base=[0, 0, 0]"];
     let ways: [(&[&str], bool); 4] = [(&[], true), (&place_alone, true), (&by_parameter, false), (&by_parameter, true)];
     for (parameter, by_tf) in ways {
-        let mut app = with_laser_on_its_head(parameter, by_tf);
+        let mut app = with_upside_down_laser(parameter, by_tf);
         for i in 0..20 {
             let seconds = f64::from(i) * 0.05;
-            let mut message = scan_at(seconds, way(seconds));
+            let mut message = scan_at(seconds, true_pose(seconds));
             message.ranges.reverse();
-            assert_near(answer(&mut app, &message).registration.odom_from_base, way(seconds), 0.01);
+            assert_near(answer(&mut app, &message).registration.odom_from_base, true_pose(seconds), 0.01);
         }
         assert!(app.mount().0.upside_down, "{parameter:?}, tf: {by_tf}");
     }
     assert!(!{
-        let mut upright = with_laser_on_its_head(&["odometry.laser_in_base=[0, 0, 0, 0]"], true);
-        answer(&mut upright, &scan_at(0.0, way(0.0)));
+        let mut upright = with_upside_down_laser(&["odometry.laser_in_base=[0, 0, 0, 0]"], true);
+        answer(&mut upright, &scan_at(0.0, true_pose(0.0)));
         upright.mount().0.upside_down
     });
 }
 
 #[test]
-fn a_laser_on_edge_by_its_parameter_is_named() {
+fn a_laser_on_edge_by_its_parameter_is_reported() {
     let mut app = app(&["odometry.laser_in_base=[0, 0, 0, 1.57]"]);
-    let estimate = answer(&mut app, &scan_at(0.0, way(0.0)));
+    let estimate = answer(&mut app, &scan_at(0.0, true_pose(0.0)));
     assert!(reason(&estimate).contains("the roll in odometry.laser_in_base"), "{}", reason(&estimate));
 }
 
@@ -248,11 +251,11 @@ fn a_scan_that_matches_nothing_is_answered_with_the_prediction_and_does_not_free
     let mut app = app(&[]);
     for i in 0..10 {
         let seconds = f64::from(i) * 0.1;
-        app.on_odometry(&odometry_at(seconds, way(seconds))).unwrap();
-        // From the sixth scan on the room is another one.
+        app.on_odometry(&odometry_at(seconds, true_pose(seconds))).unwrap();
+        // From the sixth scan on the robot is in another room.
         let jump = if i < 5 { Pose2::IDENTITY } else { Pose2::new(-2.5, -1.5, 1.5) };
-        let estimate = answer(&mut app, &scan_at(seconds, jump * way(seconds)));
-        assert_near(estimate.registration.odom_from_base, way(seconds), 0.02);
+        let estimate = answer(&mut app, &scan_at(seconds, jump * true_pose(seconds)));
+        assert_near(estimate.registration.odom_from_base, true_pose(seconds), 0.02);
         assert_eq!(estimate.registration.outcome.is_ok(), i != 5, "{i}: {:?}", estimate.registration.outcome);
         if i == 5 {
             assert!(
@@ -267,10 +270,10 @@ fn a_scan_that_matches_nothing_is_answered_with_the_prediction_and_does_not_free
 }
 
 #[test]
-fn odometry_is_interpolated_extrapolated_and_done_without() {
+fn odometry_is_interpolated_extrapolated_and_optional() {
     let fast = |seconds: f64| Pose2::new(2.0 * seconds - 1.0, 0.0, 0.0);
     let guess_error = |stamps: &[f64]| {
-        // One step of the classic kind shows where it started.
+        // A single classic iteration shows the initial guess.
         let mut app = app(&["matching.correspondence=jump_table", "matching.max_iterations=1"]);
         for &seconds in stamps {
             app.on_odometry(&odometry_at(seconds, fast(seconds))).unwrap();
@@ -281,10 +284,10 @@ fn odometry_is_interpolated_extrapolated_and_done_without() {
     };
     assert!(guess_error(&[0.0, 0.1, 0.2, 0.4]) < 0.01, "interpolated");
     assert!(guess_error(&[-0.1, 0.0, 0.1]) < 0.01, "extrapolated");
-    assert!(guess_error(&[]) > 0.05, "without odometry a first step of 0.6 m is no guess");
+    assert!(guess_error(&[]) > 0.05, "without odometry a first step of 0.6 m cannot be predicted");
 }
 
-/// A robot at rest that turns all of a sudden.
+/// The pose of a robot that suddenly turns from rest.
 fn turn_at_once(seconds: f64) -> Pose2 {
     Pose2::new(0.0, 0.0, if seconds < 0.1 { 0.0 } else { 0.35 })
 }
@@ -297,9 +300,9 @@ fn imu_at(seconds: f64) -> Imu {
 }
 
 #[test]
-fn an_imu_foresees_turns() {
+fn an_imu_predicts_rotations() {
     let error_of = |with_imu: bool| {
-        // One step of the classic kind shows where it started.
+        // A single classic iteration shows the initial guess.
         let mut app = app(&["matching.correspondence=jump_table", "matching.max_iterations=1"]);
         for seconds in [0.0, 0.05, 0.1, 0.2] {
             if with_imu {
@@ -310,13 +313,13 @@ fn an_imu_foresees_turns() {
         let registration = answer(&mut app, &scan_at(0.15, turn_at_once(0.15))).registration;
         ((registration.odom_from_base.theta - 0.35).abs(), registration.predicted_error.rotation)
     };
-    let ((with, told), (without, feared)) = (error_of(true), error_of(false));
+    let ((with, predicted_with), (without, predicted_without)) = (error_of(true), error_of(false));
     assert!(with < 0.005 && without > 0.02, "{with} {without}");
-    assert!(told < 0.5 * feared, "{told} {feared}");
+    assert!(predicted_with < 0.5 * predicted_without, "{predicted_with} {predicted_without}");
 }
 
 #[test]
-fn an_imu_on_its_head_turns_the_other_way_and_one_that_says_nothing_is_let_pass() {
+fn an_upside_down_imu_is_corrected_and_an_empty_one_is_ignored() {
     let mut app = app(&["matching.correspondence=jump_table", "matching.max_iterations=1"]);
     let mut transform = TransformStamped { child_frame_id: "imu".into(), ..TransformStamped::default() };
     transform.header.frame_id = "base_link".into();
@@ -367,23 +370,23 @@ fn other_nodes_transforms_and_velocities_predict() {
     let by_velocity =
         |app: &mut App| app.on_velocity(&Twist { linear: Vector3 { x: 2.0, ..Vector3::default() }, ..Twist::default() }).unwrap();
     assert!(guess_error(&by_transforms) < 0.01 && guess_error(&by_velocity) < 0.01);
-    assert!(guess_error(&|_| ()) > 0.05, "without either a first step of 0.6 m is no guess");
+    assert!(guess_error(&|_| ()) > 0.05, "without either, a first step of 0.6 m cannot be predicted");
 }
 
 #[test]
-fn scans_wait_for_odometry_only_while_it_comes() {
+fn scans_wait_for_odometry_only_while_it_arrives() {
     let mut app = app(&[]);
     let stamp = |seconds: f64| Stamp::from_seconds(START + seconds);
-    assert_eq!(app.wait_for_odometry(stamp(0.0)), None, "there is none");
-    answer(&mut app, &scan_at(0.0, way(0.0)));
-    app.on_odometry(&odometry_at(0.0, way(0.0))).unwrap();
-    assert_eq!(app.wait_for_odometry(stamp(0.04)), None, "near enough to extrapolate");
+    assert_eq!(app.wait_for_odometry(stamp(0.0)), None, "there is no odometry");
+    answer(&mut app, &scan_at(0.0, true_pose(0.0)));
+    app.on_odometry(&odometry_at(0.0, true_pose(0.0))).unwrap();
+    assert_eq!(app.wait_for_odometry(stamp(0.04)), None, "close enough to extrapolate");
     assert_eq!(app.wait_for_odometry(stamp(0.2)), Some(Duration::from_millis(300)));
     app.on_contract(&contract(0, 10_000_000)).unwrap();
     assert_eq!(app.wait_for_odometry(stamp(0.2)), Some(Duration::from_millis(5)), "never beyond the budget");
-    answer(&mut app, &scan_at(0.2, way(0.2)));
-    assert_eq!(app.wait_for_odometry(stamp(0.4)), None, "waited in vain");
-    app.on_odometry(&odometry_at(0.2, way(0.2))).unwrap();
+    answer(&mut app, &scan_at(0.2, true_pose(0.2)));
+    assert_eq!(app.wait_for_odometry(stamp(0.4)), None, "the last wait timed out");
+    app.on_odometry(&odometry_at(0.2, true_pose(0.2))).unwrap();
     assert!(app.wait_for_odometry(stamp(0.4)).is_some());
 }
 
@@ -392,24 +395,24 @@ fn contract(sec: i32, nsec: i32) -> Contract {
 }
 
 #[test]
-fn contracts_hold_from_the_next_scan_on_and_bad_ones_are_refused() {
-    // With bounds of zero it converges only when it goes round in circles.
+fn contracts_apply_from_the_next_scan_on_and_invalid_ones_are_rejected() {
+    // With bounds of zero the refinement ends only by a cycle.
     let mut app = app(&["matching.epsilon_translation=0", "matching.epsilon_rotation=0"]);
-    answer(&mut app, &scan_at(0.0, way(0.0)));
+    answer(&mut app, &scan_at(0.0, true_pose(0.0)));
     app.on_contract(&contract(0, 25_000)).unwrap();
-    let estimate = answer(&mut app, &scan_at(0.1, way(0.1)));
+    let estimate = answer(&mut app, &scan_at(0.1, true_pose(0.1)));
     assert_eq!(estimate.contract.time_budget, Some(Duration::from_micros(25)));
     assert_eq!(estimate.registration.refinement.unwrap().stop_reason, StopReason::Budget);
-    assert!(!estimate.deadline_met(), "the clock moves 10 us a reading: {:?}", estimate.elapsed);
+    assert!(!estimate.deadline_met(), "the clock advances by 10 us per reading: {:?}", estimate.elapsed);
     assert!(matches!(app.on_contract(&contract(-1, 0)), Err(InputError::Contract(_))));
     assert_eq!(app.contract().time_budget, Some(Duration::from_micros(25)));
     app.on_contract(&Contract { translation_error_bound: 1.0, ..contract(0, 0) }).unwrap();
-    answer(&mut app, &scan_at(0.15, way(0.15)));
-    let estimate = answer(&mut app, &scan_at(0.2, way(0.2)));
+    answer(&mut app, &scan_at(0.15, true_pose(0.15)));
+    let estimate = answer(&mut app, &scan_at(0.2, true_pose(0.2)));
     assert_eq!(estimate.registration.refinement.unwrap().stop_reason, StopReason::ErrorBound);
-    // A microsecond is over before anything can be done: still an answer, said to be a prediction.
+    // A microsecond is too short for any work: the answer is the prediction, and is marked as such.
     app.on_contract(&contract(0, 1000)).unwrap();
-    let estimate = answer(&mut app, &scan_at(0.25, way(0.25)));
+    let estimate = answer(&mut app, &scan_at(0.25, true_pose(0.25)));
     assert!(reason(&estimate).contains("time budget"), "{}", reason(&estimate));
     assert_eq!(app.counters().deadline_misses, 2);
 }
@@ -418,20 +421,20 @@ fn contracts_hold_from_the_next_scan_on_and_bad_ones_are_refused() {
 fn stamps_may_repeat_go_back_and_leave_gaps() {
     let mut app = app(&[]);
     for i in 0..5 {
-        answer(&mut app, &scan_at(2.0 + f64::from(i) * 0.1, way(f64::from(i) * 0.1)));
+        answer(&mut app, &scan_at(2.0 + f64::from(i) * 0.1, true_pose(f64::from(i) * 0.1)));
     }
-    let before = answer(&mut app, &scan_at(2.5, way(0.5)));
-    let again = answer(&mut app, &scan_at(2.5, way(0.6)));
-    assert!(reason(&again).contains("same answer"));
+    let before = answer(&mut app, &scan_at(2.5, true_pose(0.5)));
+    let again = answer(&mut app, &scan_at(2.5, true_pose(0.6)));
+    assert!(reason(&again).contains("the answer is repeated"));
     assert_eq!(again.registration.odom_from_base, before.registration.odom_from_base);
-    let late = answer(&mut app, &scan_at(2.3, way(0.3)));
+    let late = answer(&mut app, &scan_at(2.3, true_pose(0.3)));
     assert!(reason(&late).contains("out of order"));
-    // After a gap the match goes on from where it was.
-    let later = answer(&mut app, &scan_at(7.0, way(0.6)));
+    // After a gap matching continues from the last pose.
+    let later = answer(&mut app, &scan_at(7.0, true_pose(0.6)));
     assert!(later.registration.outcome.is_ok());
-    assert_near(later.registration.odom_from_base, way(0.6), 0.02);
-    // A bag that starts again is a new run.
-    let new_run = answer(&mut app, &scan_at(2.1, way(3.0)));
+    assert_near(later.registration.odom_from_base, true_pose(0.6), 0.02);
+    // A bag that starts again begins a new run.
+    let new_run = answer(&mut app, &scan_at(2.1, true_pose(3.0)));
     assert_eq!(new_run.registration.outcome, Outcome::First);
     assert_eq!(new_run.registration.odom_from_base, Pose2::IDENTITY);
     let counters = app.odometry_counters();
@@ -439,8 +442,8 @@ fn stamps_may_repeat_go_back_and_leave_gaps() {
     assert_eq!(app.counters().scans, 10);
 }
 
-/// How far the last pose is from the truth when the clock is set by `step` seconds in mid-drive, m.
-fn off_after_step(step: f64, with_odometry: bool) -> f64 {
+/// The error of the last pose if the clock is set by `step` seconds during the drive, m.
+fn error_after_clock_step(step: f64, with_odometry: bool) -> f64 {
     let mut app = app(&[]);
     let round = |seconds: f64| {
         let (sin, cos) = (0.4 * seconds).sin_cos();
@@ -460,26 +463,26 @@ fn off_after_step(step: f64, with_odometry: bool) -> f64 {
 }
 
 #[test]
-fn a_clock_that_is_set_leaves_the_robot_where_it_is() {
+fn setting_the_clock_does_not_move_the_robot() {
     for step in [-0.05, -0.6, -0.9, -1.5, -2.0, 0.6, 0.9, 1.5, 100.0] {
         for with_odometry in [true, false] {
-            let off = off_after_step(step, with_odometry);
+            let off = error_after_clock_step(step, with_odometry);
             assert!(off < 0.01, "set by {step} s, odometry: {with_odometry}: {off} m");
         }
     }
     for step in [-60.0, -900.0] {
-        let off = off_after_step(step, true);
+        let off = error_after_clock_step(step, true);
         assert!(off < 0.01, "set to before the beginning, by {step} s: {off} m");
     }
 }
 
 #[test]
-fn poses_that_are_no_poses_are_refused() {
+fn invalid_poses_are_rejected() {
     let mut app = app(&[]);
-    let mut nan = odometry_at(0.0, way(0.0));
+    let mut nan = odometry_at(0.0, true_pose(0.0));
     nan.pose.pose.position.x = f64::NAN;
     assert_eq!(app.on_odometry(&nan), Err(InputError::PoseNotFinite));
-    let mut zero = odometry_at(0.0, way(0.0));
+    let mut zero = odometry_at(0.0, true_pose(0.0));
     zero.pose.pose.orientation = Quaternion::default();
     assert!(matches!(app.on_odometry(&zero), Err(InputError::QuaternionNotNormalized { .. })));
     let mut initial = PoseWithCovarianceStamped::default();
@@ -488,58 +491,58 @@ fn poses_that_are_no_poses_are_refused() {
     let transform = TransformStamped { child_frame_id: "laser".into(), ..TransformStamped::default() };
     assert_eq!(app.on_transforms(&TFMessage { transforms: vec![transform] }), Err(InputError::BadTransforms { count: 1 }));
     assert_eq!(app.counters().refused_messages, 4);
-    // Nothing of that is left behind.
-    let mut nan_twist = odometry_at(0.0, way(0.0));
+    // None of these has an effect.
+    let mut nan_twist = odometry_at(0.0, true_pose(0.0));
     nan_twist.twist.twist.linear.x = f64::NAN;
     app.on_odometry(&nan_twist).unwrap();
     for i in 0..5 {
         let seconds = f64::from(i) * 0.1;
-        let estimate = answer(&mut app, &scan_at(seconds, way(seconds)));
-        assert_near(estimate.registration.odom_from_base, way(seconds), 0.01);
+        let estimate = answer(&mut app, &scan_at(seconds, true_pose(seconds)));
+        assert_near(estimate.registration.odom_from_base, true_pose(seconds), 0.01);
     }
 }
 
 #[test]
-fn an_initial_pose_and_a_reset_start_again() {
+fn an_initial_pose_and_a_reset_start_a_new_run() {
     let mut app = app(&[]);
     for i in 0..5 {
-        answer(&mut app, &scan_at(f64::from(i) * 0.1, way(f64::from(i) * 0.1)));
+        answer(&mut app, &scan_at(f64::from(i) * 0.1, true_pose(f64::from(i) * 0.1)));
     }
     let mut initial = PoseWithCovarianceStamped::default();
     initial.pose.pose = Pose2::new(5.0, 6.0, 1.0).into();
     app.on_initial_pose(&initial, Duration::ZERO).unwrap();
-    let estimate = answer(&mut app, &scan_at(0.6, way(0.6)));
+    let estimate = answer(&mut app, &scan_at(0.6, true_pose(0.6)));
     assert_eq!(estimate.registration.outcome, Outcome::First);
     assert_near(estimate.registration.odom_from_base, Pose2::new(5.0, 6.0, 1.0), 1e-9);
     app.reset();
-    let estimate = answer(&mut app, &scan_at(0.7, way(0.7)));
+    let estimate = answer(&mut app, &scan_at(0.7, true_pose(0.7)));
     assert_eq!(estimate.registration.odom_from_base, Pose2::IDENTITY);
 }
 
 #[test]
-fn the_source_that_the_matches_contradict_is_named() {
+fn the_source_that_matches_contradict_is_reported() {
     for (backwards, expected) in [((true, false), vec!["odometry"]), ((false, true), vec!["imu"]), ((false, false), vec![])] {
         let mut app = app(&[]);
         let mut named = Vec::new();
         for i in 0..12 {
             let seconds = f64::from(i) * 0.1;
-            app.on_odometry(&odometry_at(seconds, way(if backwards.0 { -seconds } else { seconds }))).unwrap();
+            app.on_odometry(&odometry_at(seconds, true_pose(if backwards.0 { -seconds } else { seconds }))).unwrap();
             let mut imu = Imu::default();
             imu.header.stamp = Stamp::from_seconds(START + seconds).into();
             imu.angular_velocity.z = if backwards.1 { -0.3 } else { 0.3 };
             app.on_imu(&imu).unwrap();
-            named = answer(&mut app, &scan_at(seconds, way(seconds))).registration.disbelieved.names().collect();
+            named = answer(&mut app, &scan_at(seconds, true_pose(seconds))).registration.rejected_sources.names().collect();
         }
         assert_eq!(named, expected, "{backwards:?}");
     }
 }
 
-/// Makes a good scan a bad one.
+/// Turns a good scan into a malformed one.
 type Spoil = fn(&mut LaserScan);
 
-/// Most rays see a cover that goes along with the laser, the others the room: the matches say that the robot stands, and that is told.
+/// Most rays hit a cover that moves with the laser, the others see the room: the matches claim that the robot stands still, which is reported.
 #[test]
-fn a_cover_with_slots_is_said_to_contradict_the_odometry() {
+fn a_cover_with_slots_is_reported_to_contradict_the_odometry() {
     let along = |seconds: f64| Pose2::new(0.4 * seconds, 0.0, 0.0);
     for is_covered in [true, false] {
         let mut app = app(&[]);
@@ -558,10 +561,10 @@ fn a_cover_with_slots_is_said_to_contradict_the_odometry() {
 }
 
 #[test]
-fn malformed_scans_are_said_to_be_and_answered() {
+fn malformed_scans_are_reported_and_answered() {
     let mut app = app(&[]);
     for i in 0..3 {
-        answer(&mut app, &scan_at(f64::from(i) * 0.1, way(f64::from(i) * 0.1)));
+        answer(&mut app, &scan_at(f64::from(i) * 0.1, true_pose(f64::from(i) * 0.1)));
     }
     let spoils: [(&str, Spoil); 9] = [
         ("angle_increment is 0", |s| s.angle_increment = 0.0),
@@ -579,65 +582,65 @@ fn malformed_scans_are_said_to_be_and_answered() {
     ];
     for (i, (text, spoil)) in spoils.iter().enumerate() {
         let seconds = 0.3 + i as f64 * 0.1;
-        let mut message = scan_at(seconds, way(seconds));
+        let mut message = scan_at(seconds, true_pose(seconds));
         spoil(&mut message);
         let estimate = answer(&mut app, &message);
         assert!(reason(&estimate).contains("malformed scan") && reason(&estimate).contains(text), "{}", reason(&estimate));
         assert!(estimate.registration.odom_from_base.is_finite());
     }
     assert_eq!(app.counters().malformed_scans, 9);
-    let estimate = answer(&mut app, &scan_at(0.35, way(0.3)));
-    assert!(estimate.registration.outcome.is_ok(), "the next good scan is matched: {:?}", estimate.registration.outcome);
+    let estimate = answer(&mut app, &scan_at(0.35, true_pose(0.3)));
+    assert!(estimate.registration.outcome.is_ok(), "the next good scan must be matched: {:?}", estimate.registration.outcome);
 }
 
 #[test]
-fn what_matching_does_not_need_is_said_once_and_refuses_no_scan() {
+fn errors_in_unneeded_fields_are_reported_once_and_reject_no_scan() {
     let mut app = app(&[]);
     let oddities: [(&str, Spoil); 5] = [
         ("300 ranges, but angle_min", |s| s.ranges.truncate(300)),
         ("361 ranges but 7 intensities", |s| s.intensities = vec![1.0; 7]),
         ("scan_time is NaN", |s| s.scan_time = f32::NAN),
         ("time_increment is inf", |s| s.time_increment = f32::INFINITY),
-        ("carry a range of about 8.00 m", |s| {
+        ("have a range of about 8.00 m", |s| {
             s.ranges.iter_mut().filter(|range| **range > 4.5).for_each(|range| *range = 8.0);
         }),
     ];
-    answer(&mut app, &scan_at(0.0, way(0.0)));
+    answer(&mut app, &scan_at(0.0, true_pose(0.0)));
     for (i, (text, spoil)) in oddities.iter().enumerate() {
         for half in [0.0, 0.05] {
             let seconds = 0.1 + i as f64 * 0.1 + half;
-            let mut message = scan_at(seconds, way(seconds));
+            let mut message = scan_at(seconds, true_pose(seconds));
             spoil(&mut message);
             let estimate = answer(&mut app, &message);
             assert!(estimate.registration.outcome.is_ok(), "{text}: {:?}", estimate.registration.outcome);
-            let remarks = app.take_remarks();
+            let remarks = app.take_warnings();
             let expected = usize::from(half == 0.0);
             assert_eq!(remarks.iter().filter(|remark| remark.contains(text)).count(), expected, "{text}: {remarks:?}");
         }
     }
 }
 
-/// A laser begins a sweep when the one before is over.
+/// A laser begins a sweep after the previous one has ended.
 #[test]
-fn a_sweep_takes_no_longer_than_there_is_between_two_scans() {
-    for (sweep, is_believed) in [(0.045, true), (0.05, true), (0.2, false), (0.9, false)] {
+fn a_sweep_cannot_take_longer_than_the_scan_period() {
+    for (sweep, is_accepted) in [(0.045, true), (0.05, true), (0.2, false), (0.9, false)] {
         let mut converter = ScanConverter::default();
-        let mut believed = 0;
+        let mut accepted = 0;
         for i in 0..20 {
             let seconds = f64::from(i) * 0.05;
-            let mut message = scan_at(seconds, way(seconds));
+            let mut message = scan_at(seconds, true_pose(seconds));
             message.time_increment = sweep / message.ranges.len() as f32;
-            believed += usize::from(converter.convert(&message, false).unwrap().sweep_duration() > 0.0);
+            accepted += usize::from(converter.convert(&message, false).unwrap().sweep_duration() > 0.0);
         }
-        assert_eq!(believed == 20, is_believed, "{sweep} s: {believed} of 20");
-        assert!(is_believed || believed <= 3, "{sweep} s: {believed} of 20");
-        let said = converter.take_oddities().iter().any(|oddity| oddity.to_string().contains("a sweep cannot take"));
-        assert_ne!(said, is_believed, "{sweep} s");
+        assert_eq!(accepted == 20, is_accepted, "{sweep} s: {accepted} of 20");
+        assert!(is_accepted || accepted <= 3, "{sweep} s: {accepted} of 20");
+        let reported = converter.take_warnings().iter().any(|oddity| oddity.to_string().contains("a sweep cannot take"));
+        assert_ne!(reported, is_accepted, "{sweep} s");
     }
 }
 
 #[test]
-fn rays_without_a_measurement_stay_in_their_place() {
+fn rays_without_a_return_keep_their_index() {
     let mut message = scan_at(0.0, Pose2::IDENTITY);
     for (i, value) in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, -1.0, 0.01, 31.0].into_iter().enumerate() {
         message.ranges[10 * i] = value;
@@ -649,19 +652,19 @@ fn rays_without_a_measurement_stay_in_their_place() {
         assert!(scan.point(10 * i + 1).is_some());
     }
     message.range_max = f32::INFINITY;
-    assert_eq!(ScanConverter::default().convert(&message, false).unwrap().valid_len(), 355, "no upper limit");
+    assert_eq!(ScanConverter::default().convert(&message, false).unwrap().valid_len(), 355, "without an upper limit");
     message.ranges.fill(f32::NAN);
     assert_eq!(ScanConverter::default().convert(&message, false).unwrap_err(), ScanError::TooFewValid { valid: 0, beams: 361 });
 }
 
-/// Two lasers that take turns on one topic, a geometry that changes, 10 to 10 000 beams.
+/// Two lasers that alternate on one topic, a changing geometry, 10 to 10 000 beams.
 #[test]
 fn the_geometry_may_change_from_scan_to_scan() {
     let mut app = app(&[]);
     for (i, beams) in [361, 181, 10_000, 60, 1081, 361].into_iter().enumerate() {
         let seconds = i as f64 * 0.05;
         let laser = Laser::with_field_of_view(270.0, beams);
-        let pose = way(seconds);
+        let pose = true_pose(seconds);
         let mut message = scan_at(seconds, pose);
         message.angle_increment = laser.increment as f32;
         message.ranges = laser

@@ -1,4 +1,4 @@
-//! Bags: what is written comes back, rosbag agrees, and damage is survived and said.
+//! Bags: written messages are read back, rosbag agrees, and damage is tolerated and reported.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -48,7 +48,7 @@ fn tf_static(stamp: Stamp) -> TFMessage {
     TFMessage { transforms: vec![TransformStamped { header, child_frame_id: "laser".into(), ..TransformStamped::default() }] }
 }
 
-/// Scans at 40 Hz, odometry at 50 Hz, written in turns as a recorder would; one mount pose.
+/// Scans at 40 Hz, odometry at 50 Hz, interleaved as by a recorder; one mount pose.
 fn write_drive(writer: &mut BagWriter, scans: u32, beams: u16) {
     writer.write_latched("/tf_static", Stamp::from_ros(START, 0), &tf_static(Stamp::from_ros(START, 0))).unwrap();
     for i in 0..scans {
@@ -75,7 +75,7 @@ fn scratch() -> tempfile::TempDir {
 }
 
 #[test]
-fn every_compression_gives_the_messages_back_in_time_order() {
+fn every_compression_returns_the_messages_in_time_order() {
     let dir = scratch();
     for &compression in Compression::ALL {
         let path = dir.path().join("a.bag");
@@ -96,7 +96,7 @@ fn every_compression_gives_the_messages_back_in_time_order() {
     }
 }
 
-/// What rosbag itself reads from a bag: time in ns, topic, type and CRC-32 of each message, sorted. `None` where there is no rosbag.
+/// What rosbag itself reads from a bag: time in ns, topic, type and CRC-32 of each message, sorted. `None` if rosbag is not installed.
 fn listing_of_rosbag(path: &Path) -> Option<Vec<String>> {
     const SCRIPT: &str = "
 import sys, zlib, rosbag
@@ -148,7 +148,7 @@ fn rosbag_reads_the_same_from_the_bags_written_here() {
     }
 }
 
-/// The real logs kept beside the checkout, where they are.
+/// The real logs beside the checkout, if available.
 fn real_bags() -> Vec<(PathBuf, u64, u64, Compression)> {
     let bags = [
         ("fr079/fr079.bag", 4934, 8951, Compression::Lz4),
@@ -181,7 +181,7 @@ fn real_logs_read_as_rosbag_reads_them() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Messages of any size at any time on any of three topics: back they come, by time, equal times in the order of writing.
+    /// Messages of any size at any time on any of three topics are read back by time; equal times in the order of writing.
     #[test]
     fn round_trip(
         compression in proptest::sample::select(Compression::ALL),
@@ -233,7 +233,7 @@ fn topics_and_types_are_recorded() {
 }
 
 #[test]
-fn a_bag_that_was_not_finished_gives_all_its_messages() {
+fn an_unfinished_bag_returns_all_its_messages() {
     let dir = scratch();
     for &compression in Compression::ALL {
         let (whole, left) = (dir.path().join("whole.bag"), dir.path().join("left.bag"));
@@ -246,9 +246,9 @@ fn a_bag_that_was_not_finished_gives_all_its_messages() {
     }
 }
 
-/// `rosbag record` fills in the lengths of a chunk when it is full: killed, it leaves the last one with zeros.
+/// `rosbag record` fills in the lengths of a chunk when it is full. If it is killed, the lengths of the last chunk are zero.
 #[test]
-fn the_chunk_that_a_recorder_died_in_is_read() {
+fn the_unfinished_last_chunk_is_read() {
     let dir = scratch();
     let path = dir.path().join("a.bag");
     for (compression, readable) in [(Compression::None, 40..=40), (Compression::Lz4, 20..=40), (Compression::Bz2, 0..=40)] {
@@ -275,7 +275,7 @@ fn position(bytes: &[u8], pattern: &[u8], from: usize) -> usize {
 }
 
 #[test]
-fn a_bag_cut_off_anywhere_gives_what_is_left_and_says_what_is_lost() {
+fn a_truncated_bag_returns_the_rest_and_reports_the_loss() {
     let dir = scratch();
     let (path, cut) = (dir.path().join("a.bag"), dir.path().join("cut.bag"));
     let mut random = Pcg64::seed_from_u64(1);
@@ -291,8 +291,8 @@ fn a_bag_cut_off_anywhere_gives_what_is_left_and_says_what_is_lost() {
             let found = read_all(&bag);
             assert!(found.is_sorted_by_key(|(time, ..)| *time));
             let mut rest = whole.iter();
-            assert!(found.iter().all(|message| rest.any(|other| other == message)), "an invented message");
-            assert_ne!(*bag.problems(), [], "cut at {len} of {} unsaid", bytes.len());
+            assert!(found.iter().all(|message| rest.any(|other| other == message)), "a message that was never written");
+            assert_ne!(*bag.problems(), [], "cut at {len} of {}: not reported", bytes.len());
             if compression == Compression::None && bytes.len() < 100_000 {
                 let complete = whole.iter().filter(|(_, _, data)| position(&bytes, data, 0) + data.len() <= len).count();
                 assert_eq!(found.len(), complete, "cut at {len}");
@@ -310,7 +310,7 @@ fn damaged_bytes_never_panic() {
         write_bag(&path, compression, 3, 20);
         let bytes = fs::read(&path).unwrap();
         fs::copy(&path, &damaged).unwrap();
-        // The padding of the bag header is of no interest.
+        // The padding of the bag header does not matter.
         let interesting: Vec<usize> = (0..100).chain(4110..bytes.len()).collect();
         for _ in 0..7000 {
             let mut bytes = bytes.clone();
@@ -318,7 +318,7 @@ fn damaged_bytes_never_panic() {
                 let at = interesting[random.random_range(0..interesting.len())];
                 bytes[at] = if random.random() { random.random() } else { bytes[at] ^ (1 << random.random_range(0..8)) };
             }
-            // Written over in place: emptying a file first makes some file systems wait for the disk.
+            // Overwrite in place: truncating a file first makes some file systems wait for the disk.
             fs::OpenOptions::new().write(true).open(&damaged).unwrap().write_all(&bytes).unwrap();
             let Ok(bag) = Bag::open(&damaged) else { continue };
             for message in bag.messages(None) {
@@ -330,7 +330,7 @@ fn damaged_bytes_never_panic() {
 }
 
 #[test]
-fn a_damaged_chunk_is_passed_over_and_said() {
+fn a_damaged_chunk_is_skipped_and_reported() {
     let dir = scratch();
     let path = dir.path().join("a.bag");
     write_bag(&path, Compression::Lz4, 400, 1081);
@@ -345,30 +345,30 @@ fn a_damaged_chunk_is_passed_over_and_said() {
     assert!(problem.contains("at byte 4117") && problem.contains("damaged lz4 chunk"), "{problem}");
 }
 
-/// A chunk that claims 4 GiB, and a header that does, in a file of a few KiB.
+/// A chunk and a header that claim 4 GiB, in a file of a few KiB.
 #[test]
-fn absurd_lengths_are_said_and_take_no_memory() {
+fn absurd_lengths_are_reported_and_take_no_memory() {
     let dir = scratch();
     let path = dir.path().join("a.bag");
     write_bag(&path, Compression::Bz2, 3, 20);
     let bytes = fs::read(&path).unwrap();
     let size = position(&bytes, b"size=", 4117) + 5;
-    for (at, said) in [(size, "more than is read at once"), (4117, "at most"), (13, "at most")] {
+    for (at, reported) in [(size, "a chunk is too large"), (4117, "at most"), (13, "at most")] {
         let mut bytes = bytes.clone();
         bytes[at..at + 4].fill(0xff);
         fs::write(&path, &bytes).unwrap();
         let bag = Bag::open(&path).unwrap();
         assert_eq!(bag.messages(None).count(), 0);
-        assert!(bag.problems().iter().any(|problem| problem.what.contains(said)), "{:?}", bag.problems());
+        assert!(bag.problems().iter().any(|problem| problem.what.contains(reported)), "{:?}", bag.problems());
     }
 }
 
-/// Places of a pattern.
+/// All positions of a pattern.
 fn positions(bytes: &[u8], pattern: &[u8]) -> Vec<usize> {
     (0..bytes.len().saturating_sub(pattern.len())).filter(|&at| bytes[at..].starts_with(pattern)).collect()
 }
 
-/// The index records of a bag, by a change of each: the fields' place and the data's length's place are given.
+/// Changes each index record of a bag; `change` gets the positions of its count and of the length of its data.
 fn with_index_records(path: &Path, mut change: impl FnMut(&mut [u8], usize)) {
     let mut bytes = fs::read(path).unwrap();
     for at in positions(&bytes, b"op=\x04") {
@@ -377,13 +377,13 @@ fn with_index_records(path: &Path, mut change: impl FnMut(&mut [u8], usize)) {
     fs::write(path, bytes).unwrap();
 }
 
-/// Of an index record that `op=` is at: where its count is, and where the length of its data.
+/// For an index record with `op=` at this position: the positions of its count and of the length of its data.
 fn index_fields(bytes: &[u8], op: usize) -> (usize, usize) {
     let count = position(bytes, b"count=", op) + 6;
     (count, count + 4)
 }
 
-/// The recorder of 2010 wrote 20 bytes of length for each entry of 12.
+/// The recorder of 2010 wrote a length of 20 bytes for each entry of 12 bytes.
 #[test]
 fn index_records_are_read_by_their_count() {
     let dir = scratch();
@@ -403,11 +403,11 @@ fn index_records_are_read_by_their_count() {
 }
 
 #[test]
-fn no_chunk_is_lost_because_of_an_index() {
+fn a_damaged_index_loses_no_chunk() {
     let dir = scratch();
     let path = dir.path().join("a.bag");
     let damages: [fn(&mut [u8], usize); 4] = [
-        // Of another version, of no connection, with a count of its own, and with a length that leads nowhere.
+        // Another version, an unknown connection, a wrong count, and a length that points outside the file.
         |bytes, op| bytes[position(bytes, b"ver=", op) + 4] = 9,
         |bytes, op| bytes[position(bytes, b"conn=", op)] = b'x',
         |bytes, op| bytes[index_fields(bytes, op).0] ^= 1,
@@ -427,7 +427,7 @@ fn no_chunk_is_lost_because_of_an_index() {
 }
 
 #[test]
-fn a_connection_without_its_checksum_loses_nothing() {
+fn a_connection_without_a_checksum_loses_nothing() {
     let dir = scratch();
     let path = dir.path().join("a.bag");
     write_bag(&path, Compression::None, 10, 100);
@@ -443,54 +443,54 @@ fn a_connection_without_its_checksum_loses_nothing() {
     for message in bag.messages(Some(&["/scan"])) {
         message.unwrap().decode::<LaserScan>().unwrap();
     }
-    // A type of another name is known by its definition.
+    // A type with another name is recognised by its definition.
     assert_eq!(bag.topics_of::<TFMessage>(), ["/tf_static"]);
     assert_eq!(bag.topics_of::<LaserScan>(), ["/scan"]);
 }
 
 #[test]
-fn bags_of_another_kind_are_named_with_the_remedy() {
+fn other_kinds_of_bags_are_identified_with_a_remedy() {
     let dir = scratch();
     let file = |name: &str, bytes: &[u8]| {
         fs::write(dir.path().join(name), bytes).unwrap();
         dir.path().join(name)
     };
-    let said = |path: &Path| Bag::open(path).err().unwrap().to_string();
-    let old = said(&file("old.bag", b"#ROSRECORD V1.2\n\x1e\0\0\0"));
+    let reported = |path: &Path| Bag::open(path).err().unwrap().to_string();
+    let old = reported(&file("old.bag", b"#ROSRECORD V1.2\n\x1e\0\0\0"));
     assert!(old.contains("version 1.2;") && old.contains("`rosbag fix"), "{old}");
     if let Some(path) = shared("cases/rosrecord_v1.2_as_published.bag") {
-        assert!(said(&path).contains("version 1.2; `rosbag fix"));
+        assert!(reported(&path).contains("version 1.2; convert it to version 2.0 with `rosbag fix"));
     }
-    let sqlite = said(&file("a.db3", b"SQLite format 3\0 and so on"));
-    let mcap = said(&file("a.bag", b"\x89MCAP0\r\n"));
+    let sqlite = reported(&file("a.db3", b"SQLite format 3\0 and so on"));
+    let mcap = reported(&file("a.bag", b"\x89MCAP0\r\n"));
     file("metadata.yaml", b"rosbag2_bagfile_information:\n");
-    let contents = said(&dir.path().join("metadata.yaml"));
-    let folder = said(dir.path());
-    for (said, form) in [(sqlite, "SQLite"), (mcap, "MCAP"), (contents, "table of contents"), (folder, "metadata.yaml")] {
-        assert!(said.contains("ROS 2") && said.contains(form) && said.contains("rosbags-convert"), "{said}");
+    let contents = reported(&dir.path().join("metadata.yaml"));
+    let folder = reported(dir.path());
+    for (reported, form) in [(sqlite, "SQLite"), (mcap, "MCAP"), (contents, "table of contents"), (folder, "metadata.yaml")] {
+        assert!(reported.contains("ROS 2") && reported.contains(form) && reported.contains("rosbags-convert"), "{reported}");
     }
 }
 
 #[test]
-fn what_is_no_bag_is_told_so() {
+fn files_that_are_not_bags_are_reported() {
     let dir = scratch();
     let path = dir.path().join("a.bag");
-    let said = |path: &Path| Bag::open(path).err().unwrap().to_string();
-    let said_of = |bytes: &[u8]| {
+    let reported = |path: &Path| Bag::open(path).err().unwrap().to_string();
+    let error_of = |bytes: &[u8]| {
         fs::write(&path, bytes).unwrap();
-        said(&path)
+        reported(&path)
     };
-    assert!(said_of(b"").contains("a.bag is not a ROS 1 bag: it is empty"));
-    assert!(said_of(b"#ROSBAG").contains("ends within its first line"));
-    assert!(said_of(b"a text file, and not a short one").contains("does not begin with `#ROSBAG V2.0`"));
-    assert!(said_of(b"SQLite format 3\0").contains("ROS 2"));
-    assert!(said_of(b"#ROSBAG V1.2\n").contains("version 1.2"));
-    assert!(said(dir.path()).contains("it is a directory"));
-    assert!(said(&dir.path().join("none.bag")).contains("cannot open"));
+    assert!(error_of(b"").contains("a.bag is not a ROS 1 bag: it is empty"));
+    assert!(error_of(b"#ROSBAG").contains("ends within its first line"));
+    assert!(error_of(b"a text file, and not a short one").contains("does not begin with `#ROSBAG V2.0`"));
+    assert!(error_of(b"SQLite format 3\0").contains("ROS 2"));
+    assert!(error_of(b"#ROSBAG V1.2\n").contains("version 1.2"));
+    assert!(reported(dir.path()).contains("it is a directory"));
+    assert!(reported(&dir.path().join("none.bag")).contains("cannot open"));
 }
 
 #[test]
-fn a_missing_topic_and_a_wrong_type_name_what_is_there() {
+fn errors_for_missing_topics_and_wrong_types_list_the_alternatives() {
     let dir = scratch();
     let path = dir.path().join("a.bag");
     let mut writer = BagWriter::create(&path, Compression::None).unwrap();
@@ -502,18 +502,21 @@ fn a_missing_topic_and_a_wrong_type_name_what_is_there() {
     writer.finish().unwrap();
     let bag = Bag::open(&path).unwrap();
     bag.expect_topic::<LaserScan>("/base_scan").unwrap();
-    let said = bag.expect_topic::<LaserScan>("/front/scn").unwrap_err().to_string();
-    assert!(said.ends_with("there is no topic /front/scn; sensor_msgs/LaserScan is on: /front/scan, /base_scan"), "{said}");
-    let said = bag.expect_topic::<LaserScan>("/odom").unwrap_err().to_string();
-    assert!(said.ends_with("topic /odom carries nav_msgs/Odometry, but sensor_msgs/LaserScan is needed"), "{said}");
-    let said = bag.expect_topic::<TFMessage>("/tf").unwrap_err().to_string();
-    assert!(said.ends_with("there is no topic /tf; no topic carries tf2_msgs/TFMessage"), "{said}");
+    let reported = bag.expect_topic::<LaserScan>("/front/scn").unwrap_err().to_string();
+    assert!(
+        reported.ends_with("there is no topic /front/scn; topics with sensor_msgs/LaserScan: /front/scan, /base_scan"),
+        "{reported}"
+    );
+    let reported = bag.expect_topic::<LaserScan>("/odom").unwrap_err().to_string();
+    assert!(reported.ends_with("topic /odom carries nav_msgs/Odometry, but sensor_msgs/LaserScan is needed"), "{reported}");
+    let reported = bag.expect_topic::<TFMessage>("/tf").unwrap_err().to_string();
+    assert!(reported.ends_with("there is no topic /tf; no topic carries tf2_msgs/TFMessage"), "{reported}");
     let odometry = bag.messages(Some(&["/odom"])).next().unwrap().unwrap();
     assert!(matches!(odometry.decode::<LaserScan>(), Err(BagError::WrongType { .. })));
 }
 
 #[test]
-fn what_a_bag_cannot_hold_is_refused() {
+fn messages_that_a_bag_cannot_store_are_rejected() {
     let dir = scratch();
     let path = dir.path().join("a.bag");
     let mut writer = BagWriter::create(&path, Compression::None).unwrap();
@@ -522,8 +525,8 @@ fn what_a_bag_cannot_hold_is_refused() {
         assert!(matches!(writer.write("/scan", out_of_range, &scan(stamp, 20)), Err(BagError::Unwritable { .. })));
     }
     writer.write("/scan", stamp, &scan(stamp, 20)).unwrap();
-    let said = writer.write("/scan", stamp, &odometry(stamp)).unwrap_err().to_string();
-    assert!(said.ends_with("on /scan: it carries sensor_msgs/LaserScan, not nav_msgs/Odometry"), "{said}");
+    let reported = writer.write("/scan", stamp, &odometry(stamp)).unwrap_err().to_string();
+    assert!(reported.ends_with("on /scan: the topic already carries sensor_msgs/LaserScan, not nav_msgs/Odometry"), "{reported}");
     writer.finish().unwrap();
     assert_eq!(Bag::open(&path).unwrap().message_count(None), 1);
 }
@@ -562,7 +565,7 @@ fn damaged_messages_never_panic_and_absurd_lengths_are_errors() {
 }
 
 #[test]
-fn the_summary_tells_geometry_rates_and_problems() {
+fn the_summary_has_geometry_rates_and_problems() {
     let dir = scratch();
     let path = dir.path().join("a.bag");
     let mut writer = BagWriter::create(&path, Compression::Lz4).unwrap();
@@ -584,13 +587,13 @@ fn the_summary_tells_geometry_rates_and_problems() {
     let scans = summary.topics.iter().find(|topic| topic.topic == "/scan").unwrap();
     assert!((scans.rate_hz.unwrap() - 40.0).abs() < 1e-6 && scans.stamps_back == 1);
     let problems = summary.problems.join("\n");
-    for said in [
+    for reported in [
         "/scan: 1 of 101 stamps go back in time",
-        "/odom: 1 gap, the longest of 58.02 s",
-        "/scan: 1 of 101 scans unusable, the first: 0 of 541 rays carry a measurement",
+        "/odom: 1 gap, the longest 58.02 s",
+        "/scan: 1 of 101 scans are unusable; the first: 0 of 541 rays have a measurement",
         "/odom: 1 poses are NaN or infinite",
     ] {
-        assert!(problems.contains(said), "{problems}");
+        assert!(problems.contains(reported), "{problems}");
     }
 }
 
@@ -608,7 +611,7 @@ fn info_prints_a_table_or_json() {
     assert_eq!(json["messages"], 101);
     assert_eq!(json["lasers"][0]["beams"], 541);
     let table = info(&[]);
-    for said in ["sensor_msgs/LaserScan", "base_link", "was not closed", "rosbag reindex"] {
-        assert!(table.contains(said), "{table}");
+    for reported in ["sensor_msgs/LaserScan", "base_link", "was not closed", "rosbag reindex"] {
+        assert!(table.contains(reported), "{table}");
     }
 }

@@ -1,4 +1,4 @@
-//! Inputs that went wrong on somebody's robot, each with its right value. They lie beside the checkout (`../shared/cases`).
+//! Inputs that caused failures on real robots, each with its expected result. They are stored beside the checkout (`../shared/cases`).
 
 use std::path::Path;
 use std::process::Command;
@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use crate::common::shared;
 
-/// What `anytime replay` says of a case; `None` where it is not there.
+/// The summary of `anytime replay` for a case; `None` if the case is not available.
 fn replay(case: &str, truth: &str, more: &[&str]) -> Option<Value> {
     let bag = shared(&format!("cases/{case}.bag"))?;
     let truth = (!truth.is_empty()).then(|| bag.with_file_name("truth").join(truth).with_extension("tum"));
@@ -29,7 +29,7 @@ fn replay_bag(bag: &Path, arguments: &[&str]) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// The poses of a case, as a TUM file has them; `None` where it is not there.
+/// The poses of a case in TUM format; `None` if the case is not available.
 fn poses(case: &str, more: &[&str]) -> Option<String> {
     let folder = tempfile::tempdir().unwrap();
     let tum = folder.path().join("x.tum");
@@ -37,59 +37,59 @@ fn poses(case: &str, more: &[&str]) -> Option<String> {
     Some(std::fs::read_to_string(tum).unwrap())
 }
 
-/// All scans but the first are matched, within so many metres of the truth; among the notes is this text.
-fn right(case: &str, truth: &str, more: &[&str], most: f64, note: &str) {
+/// Checks that no scan fails, that the ATE is at most `max_ate`, m, and that the problems contain `note`.
+fn check_case(case: &str, truth: &str, more: &[&str], max_ate: f64, note: &str) {
     let Some(summary) = replay(case, truth, more) else { return };
     let ate = summary["ate_rmse_m"].as_f64().unwrap();
-    assert!(ate <= most, "{case}: {ate} m: {summary}");
+    assert!(ate <= max_ate, "{case}: {ate} m: {summary}");
     assert_eq!(summary["failed"], 0, "{case}: {summary}");
     assert!(summary["problems"].to_string().contains(note), "{case}: {summary}");
 }
 
 #[test]
-fn rays_that_saw_nothing_are_no_walls() {
-    right("k1_nothing_seen_is_range_max", "b270", &[], 0.01, "");
+fn rays_without_a_return_are_not_walls() {
+    check_case("k1_nothing_seen_is_range_max", "b270", &[], 0.01, "");
 }
 
 #[test]
-fn a_mount_may_shake_and_lasers_may_take_turns() {
-    right("k2_mount_jitters_3um", "b270", &[], 0.01, "");
-    // Its scans are all of one place, while tf has one of the two frames 2 cm aside: 1 cm of error is in the file.
-    right("k2_two_frames_on_scan", "b270", &[], 0.015, "");
+fn mounts_may_jitter_and_lasers_may_alternate() {
+    check_case("k2_mount_jitters_3um", "b270", &[], 0.01, "");
+    // All its scans were taken from one pose, but tf has one of the two frames 2 cm to the side: 1 cm of error is in the file.
+    check_case("k2_two_frames_on_scan", "b270", &[], 0.015, "");
 }
 
 #[test]
 fn beams_are_where_the_increment_puts_them() {
-    right("k5_velodyne_laserscan_0.005", "b1256", &[], 0.01, "angle_increment make");
+    check_case("k5_velodyne_laserscan_0.005", "b1256", &[], 0.01, "angle_increment give");
 }
 
 #[test]
 fn sweeps_run_in_both_directions() {
-    right("k11_negative_time_increment", "skew", &[], 0.01, "");
-    right("k11_reversed_data", "skew", &["--set", "odometry.scan_duration=-0.045"], 0.01, "");
+    check_case("k11_negative_time_increment", "skew", &[], 0.01, "");
+    check_case("k11_reversed_data", "skew", &["--set", "odometry.scan_duration=-0.045"], 0.01, "");
 }
 
 #[test]
-fn numbers_that_matching_does_not_need_are_ignored_with_a_word() {
-    right("k12_scan_time_nan", "b270", &[], 0.01, "scan_time is NaN: ignored");
-    right("k12_time_increment_inf", "b270", &[], 0.01, "time_increment is inf");
-    right("k12_one_intensity", "b270", &[], 0.01, "1 intensities");
+fn invalid_fields_that_matching_does_not_need_are_ignored_with_a_warning() {
+    check_case("k12_scan_time_nan", "b270", &[], 0.01, "scan_time is NaN: ignored");
+    check_case("k12_time_increment_inf", "b270", &[], 0.01, "time_increment is inf");
+    check_case("k12_one_intensity", "b270", &[], 0.01, "1 intensities");
 }
 
 #[test]
-fn an_imu_that_errs_is_not_believed_and_named() {
-    right("k6_imu_ned", "turny", &[], 0.01, "without the IMU");
+fn a_faulty_imu_is_rejected_and_reported() {
+    check_case("k6_imu_ned", "turny", &[], 0.01, "without the IMU");
 }
 
-/// What a sensor's numbers are multiplied by.
+/// Factors on a sensor's values.
 #[derive(Clone, Copy, Debug)]
 struct Units {
     imu: f64,
-    /// Distance and turn; `None`: there are no wheels.
+    /// Distance and rotation; `None`: no wheel odometry.
     wheels: Option<(f64, f64)>,
 }
 
-/// The bag of the IMU whose sign is wrong, with other units.
+/// Rewrites the bag of the IMU with the wrong sign, in other units.
 fn with_units(from: &Path, to: &Path, units: Units) {
     let mut writer = BagWriter::create(to, Compression::None).unwrap();
     for message in Bag::open(from).unwrap().messages(None) {
@@ -103,11 +103,11 @@ fn with_units(from: &Path, to: &Path, units: Units) {
                 writer.write("/imu/data", message.time, &imu).unwrap();
             }
             "/odom" => {
-                let Some((way, turn)) = units.wheels else { continue };
+                let Some((distance, turn)) = units.wheels else { continue };
                 let mut odometry = message.decode::<Odometry>().unwrap();
                 let pose = planar_pose(&odometry.pose.pose).unwrap();
-                odometry.pose.pose = Pose2::new(way * pose.x, way * pose.y, turn * pose.theta).into();
-                odometry.twist.twist.linear.x *= way;
+                odometry.pose.pose = Pose2::new(distance * pose.x, distance * pose.y, turn * pose.theta).into();
+                odometry.twist.twist.linear.x *= distance;
                 odometry.twist.twist.angular.z *= turn;
                 writer.write("/odom", message.time, &odometry).unwrap();
             }
@@ -118,7 +118,7 @@ fn with_units(from: &Path, to: &Path, units: Units) {
 }
 
 #[test]
-fn sensors_of_other_units_and_signs_lead_nowhere_else() {
+fn sensors_with_wrong_units_or_signs_do_no_harm() {
     let Some(bag) = shared("cases/k6_imu_ned.bag") else { return };
     let folder = tempfile::tempdir().unwrap();
     let changed = folder.path().join("changed.bag");
@@ -147,7 +147,7 @@ fn sensors_of_other_units_and_signs_lead_nowhere_else() {
 }
 
 #[test]
-fn where_the_clock_is_set_back_the_robot_drives_on() {
+fn the_robot_continues_after_the_clock_is_set_back() {
     let end = |case: &str| {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("out.tum");
@@ -156,7 +156,7 @@ fn where_the_clock_is_set_back_the_robot_drives_on() {
         let numbers: Vec<f64> = text.lines().last()?.split(' ').map(|number| number.parse().unwrap()).collect();
         Some((numbers[1], numbers[2]))
     };
-    // The same drive, without the step.
+    // The same drive without the clock step.
     let (Some(with), Some(without)) = (end("k7_clock_back_0.6"), end("k12_one_intensity")) else { return };
     assert!((with.0 - without.0).hypot(with.1 - without.1) < 0.05, "{with:?} {without:?}");
 }
@@ -168,22 +168,22 @@ fn before_the_first_usable_scan_answers_follow_odometry() {
 }
 
 #[test]
-fn a_laser_on_edge_is_named() {
+fn a_laser_mounted_on_edge_is_reported() {
     let Some(bag) = shared("cases/k13_roll_90.bag") else { return };
     let output = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("replay").arg(&bag).arg("--json").output().unwrap();
     let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(summary["matched"], 0, "{summary}");
     assert!(summary["failures"]["tilted_mount"].as_u64() > Some(0), "{summary}");
     assert!(summary["problems"].to_string().contains("tilted by"), "{summary}");
-    assert_eq!(output.status.code(), Some(1), "no scan was of use: {}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(output.status.code(), Some(1), "no scan was usable: {}", String::from_utf8_lossy(&output.stderr));
     let info = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("info").arg(bag).arg("--json").output().unwrap();
     let info: Value = serde_json::from_slice(&info.stdout).unwrap();
     assert!(info["problems"].to_string().contains("tilted by 90 degrees against 'base_link'"), "{info}");
 }
 
-/// A match 24 standard deviations from what odometry says, along a wall that leaves the heading open, is outweighed by the odometry.
+/// A match 24 standard deviations from the odometry, along a wall that does not constrain the heading, is outweighed by the odometry.
 #[test]
-fn a_turn_that_the_odometry_does_not_know_is_not_believed() {
+fn a_rotation_that_odometry_contradicts_is_rejected() {
     let Some(poses) = poses("flip_after_lost", &[]) else { return };
     let [before, after] =
         ["1232662036.094", "1232662036.706"].map(|stamp| heading(poses.lines().find(|line| line.starts_with(stamp)).unwrap()));
@@ -191,22 +191,21 @@ fn a_turn_that_the_odometry_does_not_know_is_not_believed() {
     assert!((after - before).abs().to_degrees() < 2.0, "{before} {after}");
 }
 
-/// A real laser that stands still for 37 s.
+/// A real laser at rest for 37 s.
 #[test]
-fn a_laser_at_rest_stays_where_it_is() {
+fn a_laser_at_rest_does_not_move() {
     let Some(poses) = poses("lidarme", &[]) else { return };
     for line in poses.lines() {
         let numbers: Vec<f64> = line.split_whitespace().map(|number| number.parse().unwrap()).collect();
         assert!(numbers[1].hypot(numbers[2]) < 0.07, "{line}");
     }
     let summary = replay("lidarme", "", &[]).unwrap();
-    assert_eq!(summary["keyframes"], 1, "nothing new is seen: {summary}");
+    assert_eq!(summary["keyframes"], 1, "nothing new must be seen: {summary}");
 }
 
-/// Long walls without an end, and no odometry: what is seen last is what was seen first, and where the robot has been in between nobody
-/// knows.
+/// Endless long walls without odometry: the last view equals the first, and the path in between is unobservable.
 #[test]
-fn along_a_wall_without_odometry_the_covariance_says_that_nothing_is_known() {
+fn the_covariance_grows_along_a_wall_without_odometry() {
     let Some(poses) = poses("rosify_laser", &["--scan-topic", "laser_scan"]) else { return };
     let stamps: Vec<&str> = poses.lines().filter_map(|line| line.split(' ').next()).collect();
     let (first, last) = (&stamps[..1], &stamps[stamps.len() - 20..]);
@@ -219,7 +218,7 @@ fn along_a_wall_without_odometry_the_covariance_says_that_nothing_is_known() {
     assert!(summary["consistency"]["positions_within"].as_f64().unwrap() > 0.75, "{summary}");
 }
 
-/// A laser inside a wall sees nothing but its own noise; the odometry says how the robot turns.
+/// A laser inside a wall sees only its own noise; the rotation must come from the odometry.
 #[test]
 fn a_laser_in_a_wall_does_not_turn_the_robot() {
     let Some(bag) = shared("cases/wall_contact.bag") else { return };
@@ -240,7 +239,7 @@ fn a_laser_in_a_wall_does_not_turn_the_robot() {
     }
 }
 
-/// Of a line of a TUM file, rad.
+/// The heading in a line of a TUM file, rad.
 fn heading(line: &str) -> f64 {
     let numbers: Vec<f64> = line.split_whitespace().map(|number| number.parse().unwrap()).collect();
     2.0 * numbers[6].atan2(numbers[7])

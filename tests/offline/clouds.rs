@@ -1,4 +1,4 @@
-//! Point clouds in bags: floor and ceiling are no walls, for `replay`, `localize`, `profile` and `info` alike.
+//! Point clouds in bags: floor and ceiling must not count as walls in `replay`, `localize`, `profile` and `info`.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -10,16 +10,16 @@ use anytime_scan_matcher::messages::sensor_msgs::{LaserScan, PointCloud2, PointF
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use serde_json::Value;
 
-/// Scans of the demo that are made into clouds.
+/// Number of scans of the demo that are turned into clouds.
 const SCANS: usize = 120;
-/// Of the sensor above the base's origin, m.
+/// Height of the sensor above the base's origin, m.
 const HEIGHT: f32 = 0.4;
 
 fn shipped(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
 }
 
-/// What a sensor of several layers sees where a laser sees `scan`: walls at three heights, and floor and ceiling before them.
+/// The cloud of a multi-layer sensor where a laser sees `scan`: walls at three heights, with floor and ceiling in front of them.
 fn cloud(scan: &LaserScan) -> PointCloud2 {
     let mut data = Vec::new();
     for (i, range) in scan.ranges.iter().enumerate() {
@@ -43,7 +43,7 @@ fn cloud(scan: &LaserScan) -> PointCloud2 {
     }
 }
 
-/// The beginning of the demo with clouds on `topic` in place of scans.
+/// Writes the beginning of the demo with clouds on `topic` instead of scans.
 fn write(path: &Path, topic: &str) {
     let demo = Bag::open(shipped("bags/demo.bag")).unwrap();
     let mut writer = BagWriter::create(path, Compression::Lz4).unwrap();
@@ -74,7 +74,7 @@ fn json(line: &[&str]) -> Value {
 }
 
 #[test]
-fn replay_and_localize_take_clouds_and_leave_floor_and_ceiling_out() {
+fn replay_and_localize_use_clouds_without_floor_and_ceiling() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.bag");
     write(&path, "/cloud");
@@ -86,7 +86,7 @@ fn replay_and_localize_take_clouds_and_leave_floor_and_ceiling_out() {
     assert!(replay["matched"] == SCANS && replay["ate_rmse_m"].as_f64().unwrap() < 0.005, "{replay}");
     assert!(picture.exists());
     let by_parameter = json(&["replay", bag, "--set", "cloud.input=true", "--truth", truth, "--json"]);
-    assert_eq!(by_parameter["ate_rmse_m"], replay["ate_rmse_m"], "the parameter takes the topic /cloud");
+    assert_eq!(by_parameter["ate_rmse_m"], replay["ate_rmse_m"], "the parameter must select the topic /cloud");
     let limits = ["--set", "cloud.min_height=-100", "--set", "cloud.max_height=100"];
     let floor = json(&[&["replay", bag, "--scan-topic", "/cloud", "--truth", truth, "--json"], &limits[..]].concat());
     assert!(floor["ate_rmse_m"].as_f64().unwrap() > 0.005, "without limits floor and ceiling are matched: {floor}");
@@ -95,7 +95,7 @@ fn replay_and_localize_take_clouds_and_leave_floor_and_ceiling_out() {
 }
 
 #[test]
-fn info_shows_clouds_and_errors_name_them() {
+fn info_and_errors_list_clouds() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.bag");
     write(&path, "/velodyne_points");
@@ -107,5 +107,5 @@ fn info_shows_clouds_and_errors_name_them() {
     assert!(!info["problems"].to_string().contains("no usable scans"), "{info}");
     let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(["replay", path]).output().unwrap();
     let error = String::from_utf8(output.stderr).unwrap();
-    assert!(error.contains("sensor_msgs/PointCloud2 is on: /velodyne_points"), "{error}");
+    assert!(error.contains("topics with sensor_msgs/PointCloud2: /velodyne_points"), "{error}");
 }

@@ -1,12 +1,12 @@
-//! Contracts, on a clock on which an iteration costs exactly 10 us.
+//! Contracts, on a virtual clock on which an iteration costs exactly 10 us.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::common::Laser;
 use anytime_scan_matcher::anytime::clock::{Clock, VirtualClock};
-use anytime_scan_matcher::anytime::interrupt::{Never, Request};
-use anytime_scan_matcher::app::{Answering as _, App, Estimate};
+use anytime_scan_matcher::anytime::interrupt::{InterruptRequest, NeverInterrupt};
+use anytime_scan_matcher::app::{App, Estimate, ScanProcessor as _};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::matching::StopReason;
@@ -31,13 +31,13 @@ impl Bench {
         Self { app, clock, scans: 0 }
     }
 
-    /// Where the laser is at the scan of this number: a start and a jerk, so that predictions are wrong by centimetres.
+    /// The true pose of the laser at this scan. The motion starts and jerks, so that predictions are wrong by centimetres.
     fn truth(scan: u32) -> Pose2 {
         let (step, jerk) = (f64::from(scan), if scan.is_multiple_of(2) { 0.02 } else { -0.02 });
         Pose2::new(0.05 * step, jerk, 0.02 * step + jerk)
     }
 
-    /// Answers the next scan, and does the work that follows an answer.
+    /// Processes the next scan, including the work after the answer.
     fn answer(&mut self) -> (Estimate, f64) {
         let laser = Laser::with_field_of_view(270.0, 721);
         let truth = Self::truth(self.scans);
@@ -46,7 +46,7 @@ impl Bench {
         let arrival = self.clock.now();
         let mut estimate = self.app.on_scan(&scan, arrival);
         self.app.conclude(&mut estimate);
-        self.app.maintain(&Never);
+        self.app.maintain(&NeverInterrupt);
         let error = Self::truth(0).between(&truth).between(&estimate.registration.map_from_base()).distance();
         (estimate, error)
     }
@@ -65,7 +65,7 @@ fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
 }
 
 #[test]
-fn no_answer_is_late_where_costs_are_known_and_more_time_gives_better_ones() {
+fn no_answer_is_late_if_costs_are_known_and_more_time_gives_better_answers() {
     let mut last = (f64::INFINITY, 0.0);
     for budget in [60, 100, 150, 1000] {
         let mut bench = Bench::new(&[&format!("contract.time_budget={budget}us")]);
@@ -82,7 +82,7 @@ fn no_answer_is_late_where_costs_are_known_and_more_time_gives_better_ones() {
 }
 
 #[test]
-fn no_time_at_all_gives_the_prediction_and_says_so() {
+fn without_time_the_answer_is_the_prediction_with_its_reason() {
     let mut bench = Bench::new(&["contract.time_budget=20us"]);
     let answers = bench.answers();
     for (estimate, _) in &answers[1..] {
@@ -94,7 +94,7 @@ fn no_time_at_all_gives_the_prediction_and_says_so() {
 }
 
 #[test]
-fn what_had_no_time_is_finished_after_the_answer() {
+fn unfinished_matches_are_finished_after_the_answer() {
     let predicted = |assignments: &[&str]| {
         let mut bench = Bench::new(assignments);
         let answers = bench.answers();
@@ -108,7 +108,7 @@ fn what_had_no_time_is_finished_after_the_answer() {
 }
 
 #[test]
-fn an_error_bound_gives_time_back() {
+fn an_error_bound_saves_time() {
     let mut complete = Bench::new(&[]);
     let mut bounded = Bench::new(&["contract.translation_error_bound=0.01", "contract.rotation_error_bound=0.01"]);
     for ((all, _), (some, error)) in complete.answers().iter().zip(bounded.answers()).skip(1) {
@@ -120,7 +120,7 @@ fn an_error_bound_gives_time_back() {
 }
 
 #[test]
-fn a_bound_that_time_does_not_allow_is_missed_by_so_much() {
+fn a_missed_bound_is_reported_with_its_excess() {
     let mut bench = Bench::new(&["contract.time_budget=70us", "contract.translation_error_bound=0.00001"]);
     for (estimate, _) in &bench.answers()[1..] {
         let error = estimate.registration.estimated_error.translation;
@@ -132,16 +132,16 @@ fn a_bound_that_time_does_not_allow_is_missed_by_so_much() {
 }
 
 #[test]
-fn an_answer_can_be_called_for() {
+fn an_answer_can_be_requested() {
     let mut bench = Bench::new(&[]);
-    let request = Arc::new(Request::default());
+    let request = Arc::new(InterruptRequest::default());
     bench.app.set_interrupt(Arc::clone(&request) as Arc<_>);
     bench.answer();
     assert_eq!(bench.answer().0.registration.outcome, Outcome::Matched);
     request.make();
     let (estimate, _) = bench.answer();
     assert_eq!(estimate.registration.refinement.unwrap().stop_reason, StopReason::Interrupted);
-    assert!(matches!(&estimate.registration.outcome, Outcome::Predicted(failure) if failure.text.contains("called for")));
+    assert!(matches!(&estimate.registration.outcome, Outcome::Predicted(failure) if failure.text.contains("requested before")));
     request.clear();
     assert_eq!(bench.answer().0.registration.outcome, Outcome::Matched);
 }

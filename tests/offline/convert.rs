@@ -1,4 +1,4 @@
-//! CARMEN logs turned into bags: by hand, damaged, and the real one.
+//! Conversion of CARMEN logs to bags: handwritten, damaged and real ones.
 
 use std::fs;
 use std::io::Write as _;
@@ -19,7 +19,7 @@ fn anytime(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_anytime")).args(arguments).output().unwrap()
 }
 
-/// Converts the bytes of a log; answers what the program says, and the bag's name.
+/// Converts the bytes of a log; returns the output of the program and the name of the bag.
 fn converted(folder: &Path, log: &[u8], flags: &[&str]) -> (String, String) {
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     let (log_path, bag) = (path("in.clf"), path("out.bag"));
@@ -34,14 +34,14 @@ fn messages<T: Message>(bag: &str, topic: &str) -> Vec<T> {
     bag.messages(Some(&[topic])).map(|message| message.unwrap().decode().unwrap()).collect()
 }
 
-/// Twelve ranges of a wall 2 m away, the last one without a reading.
+/// Twelve ranges to a wall 2 m away, the last one without a return.
 const RANGES: &str = "2.0 2.0 2.0 2.0 2.0 2.0 2.0 2.0 2.0 2.0 2.5 81.83";
 
 fn front_laser(pose: &str, time: &str) -> String {
     format!("FLASER 12 {RANGES} {pose} {time} host 0.1")
 }
 
-/// All that a log of this kind may hold, with the laser 0.2 m ahead of the robot's centre.
+/// Everything that a log of this kind may contain, with the laser 0.2 m ahead of the robot's centre.
 fn log() -> String {
     let lines = [
         "# message_name [message contents] ipc_timestamp ipc_hostname logger_timestamp".into(),
@@ -61,15 +61,20 @@ fn log() -> String {
 #[test]
 fn scans_odometry_and_mount_are_those_of_the_lines() {
     let folder = tempfile::tempdir().unwrap();
-    let (said, bag) = converted(folder.path(), log().as_bytes(), &[]);
-    assert!(said.contains("5 scans") && said.contains("2 stamps mended, by 0.060 s") && said.contains("1 SYNC"), "{said}");
+    let (reported, bag) = converted(folder.path(), log().as_bytes(), &[]);
+    assert!(
+        reported.contains("5 scans")
+            && reported.contains("2 stamps corrected, by at most 0.060 s")
+            && reported.contains("1 SYNC"),
+        "{reported}"
+    );
     let scans: Vec<LaserScan> = messages(&bag, "/scan");
     assert_eq!(scans[0].header.stamp, Time { sec: 100, nsec: 1 });
     assert_eq!(scans[0].header.frame_id, "laser");
     assert_eq!(scans[0].ranges.iter().map(ToString::to_string).collect::<Vec<_>>()[10..], ["2.5", "81.83"]);
     assert!((scans[0].angle_min.to_degrees() + 90.0).abs() < 1e-4 && (scans[0].angle_max.to_degrees() - 75.0).abs() < 1e-4);
     let checked = ScanConverter::default().convert(&scans[0], false).unwrap();
-    assert_eq!(checked.valid_len(), 11, "81.83 m is no distance");
+    assert_eq!(checked.valid_len(), 11, "81.83 m is not a valid range");
     let stamps: Vec<f64> =
         scans.iter().map(|scan| f64::from(scan.header.stamp.nsec) * 1e-9 + f64::from(scan.header.stamp.sec)).collect();
     let expected = [100.000_000_001, 100.2, 100.34, 100.36, 101.0];
@@ -86,16 +91,16 @@ fn scans_odometry_and_mount_are_those_of_the_lines() {
 }
 
 #[test]
-fn robot_laser_lines_tell_their_geometry_and_their_reach() {
+fn robot_laser_lines_give_geometry_and_maximum_range() {
     let folder = tempfile::tempdir().unwrap();
     let line = |x: f64, time: f64| {
         format!("ROBOTLASER1 0 -1.0 2.2 0.2 50.0 0.01 0 12 {RANGES} 2 5 6 {x} 0 0.1 {x} 0 0 0.5 0.25 0 0 0 {time} host {time}")
     };
-    // The same scans as FLASER lines too, as some logs have them.
+    // The same scans also as FLASER lines, as in some logs.
     let log =
         [line(0.0, 10.0), front_laser("0 0 0 0 0 0", "10.0"), line(0.1, 10.2), front_laser("0 0 0 0.1 0 0", "10.2")].join("\n");
-    let (said, bag) = converted(folder.path(), log.as_bytes(), &["--compression", "none"]);
-    assert!(said.contains("2 scans"), "{said}");
+    let (reported, bag) = converted(folder.path(), log.as_bytes(), &["--compression", "none"]);
+    assert!(reported.contains("2 scans"), "{reported}");
     let scan = &messages::<LaserScan>(&bag, "/scan")[1];
     assert!(
         (scan.angle_min + 1.0).abs() < 1e-6 && (scan.angle_increment - 0.2).abs() < 1e-6 && scan.range_max < 50.0,
@@ -107,10 +112,10 @@ fn robot_laser_lines_tell_their_geometry_and_their_reach() {
 }
 
 #[test]
-fn poses_of_another_program_are_no_mount_and_odom_lines_serve_where_scans_have_none() {
+fn corrected_poses_give_no_mount_and_odom_lines_replace_missing_odometry() {
     let corrected = [front_laser("0 0 0 0 0 0", "1"), front_laser("0.9 0.1 0 1 0 0", "2")].join("\n");
     let parsed = |text: &str| CarmenLog::parse(text, Path::new("x"), None).unwrap();
-    assert_eq!(parsed(&corrected).mount(), Mount::Unknown);
+    assert_eq!(parsed(&corrected).mount(), Mount::Inconsistent);
     let with_parameter = format!("PARAM robot_frontlaser_offset 0.3 host 0\n{corrected}");
     assert_eq!(parsed(&with_parameter).mount(), Mount::Parameter(Pose2::new(0.3, 0.0, 0.0)));
 
@@ -122,7 +127,7 @@ fn poses_of_another_program_are_no_mount_and_odom_lines_serve_where_scans_have_n
 }
 
 #[test]
-fn fields_of_view_follow_carmen_unless_told() {
+fn fields_of_view_follow_carmen_by_default() {
     let scan = |beams: usize, view: Option<f64>| {
         let line = format!("FLASER {beams} {} 0 0 0 0 0 0 0.0 host 7.5", "1 ".repeat(beams));
         CarmenLog::parse(&line, Path::new("x"), view).unwrap().scans[0].clone()
@@ -135,16 +140,16 @@ fn fields_of_view_follow_carmen_unless_told() {
     }
     let wide = scan(271, Some(270.0_f64.to_radians()));
     assert!((wide.angle_increment.to_degrees() - 1.0).abs() < 1e-9 && (wide.angle_min.to_degrees() + 135.0).abs() < 1e-9);
-    assert_eq!(wide.odometry.stamp.to_string(), "7.500000000", "where the sender's clock is 0, the logger's counts");
+    assert_eq!(wide.odometry.stamp.to_string(), "7.500000000", "if the sender's clock is 0, the logger's is used");
 }
 
 #[test]
-fn damage_is_left_out_and_said_and_what_is_no_log_is_an_error() {
+fn damaged_lines_are_skipped_and_reported_and_other_files_are_errors() {
     let folder = tempfile::tempdir().unwrap();
     let good = front_laser("0 0 0 0 0 0", "1");
     let cut = &good[..40];
-    let (said, _) = converted(folder.path(), format!("{good}\nFLASER 12 1 2 x\n\u{1}\u{2}\n{cut}").as_bytes(), &[]);
-    assert!(said.contains("3 damaged lines left out") && said.contains("in.clf:2: a range is `x`"), "{said}");
+    let (reported, _) = converted(folder.path(), format!("{good}\nFLASER 12 1 2 x\n\u{1}\u{2}\n{cut}").as_bytes(), &[]);
+    assert!(reported.contains("3 damaged lines skipped") && reported.contains("in.clf:2: a range is `x`"), "{reported}");
 
     let failure = |name: &str, text: &[u8]| {
         let path = folder.path().join(name);
@@ -153,7 +158,7 @@ fn damage_is_left_out_and_said_and_what_is_no_log_is_an_error() {
         assert_eq!(output.status.code(), Some(1));
         String::from_utf8(output.stderr).unwrap()
     };
-    assert!(failure("empty.clf", b"# nothing\n").contains("there is nothing in"));
+    assert!(failure("empty.clf", b"# nothing\n").contains("has no data"));
     let cut = failure("cut.clf", cut.as_bytes());
     assert!(cut.contains("cut.clf:1: the line ends before") && cut.contains("remove it"), "{cut}");
     let negative = failure("negative.clf", front_laser("0 0 0 0 0 0", "-3").as_bytes());
@@ -166,7 +171,7 @@ fn damage_is_left_out_and_said_and_what_is_no_log_is_an_error() {
 }
 
 #[test]
-fn packed_logs_are_the_same() {
+fn compressed_logs_give_the_same_bag() {
     let folder = tempfile::tempdir().unwrap();
     let (_, plain) = converted(folder.path(), log().as_bytes(), &[]);
     let plain = fs::read(plain).unwrap();
@@ -177,19 +182,19 @@ fn packed_logs_are_the_same() {
 }
 
 #[test]
-fn logs_packed_with_gzip_are_read_by_content() {
+fn gzip_logs_are_recognised_by_content() {
     let folder = tempfile::tempdir().unwrap();
     let (_, plain) = converted(folder.path(), log().as_bytes(), &[]);
     let plain = fs::read(plain).unwrap();
     let (_, packed) = converted(folder.path(), &gzip(log().as_bytes()), &[]);
     assert!(fs::read(packed).unwrap() == plain);
     if let Some(log) = crate::common::shared("cases/plain.log.gz") {
-        let (said, _) = converted(folder.path(), &fs::read(log).unwrap(), &[]);
-        assert!(said.contains("100 scans"), "{said}");
+        let (reported, _) = converted(folder.path(), &fs::read(log).unwrap(), &[]);
+        assert!(reported.contains("100 scans"), "{reported}");
     }
 }
 
-/// A gzip file of stored blocks (RFC 1951, 1952), without the help of the library that reads it.
+/// A gzip file of stored blocks (RFC 1951, 1952), made without the library that reads it.
 fn gzip(bytes: &[u8]) -> Vec<u8> {
     let crc = !bytes.iter().fold(!0_u32, |crc, &byte| {
         (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg()))
@@ -205,26 +210,26 @@ fn raw_laser_lines_are_scans_without_poses() {
     let folder = tempfile::tempdir().unwrap();
     let line = |time: f64| format!("RAWLASER1 0 -1.0 2.2 0.2 50.0 0.01 0 12 {RANGES} 0 {time} host {time}");
     let alone = [line(10.0), line(10.2)].join("\n");
-    let (said, bag) = converted(folder.path(), alone.as_bytes(), &[]);
-    assert!(said.contains("2 scans") && said.contains("the scans carry no poses"), "{said}");
+    let (reported, bag) = converted(folder.path(), alone.as_bytes(), &[]);
+    assert!(reported.contains("2 scans") && reported.contains("the scans carry no poses"), "{reported}");
     let scan = &messages::<LaserScan>(&bag, "/scan")[1];
     assert_eq!((scan.angle_min, scan.ranges.len(), scan.header.stamp), (-1.0, 12, Time { sec: 10, nsec: 200_000_000 }));
     assert!((scan.angle_increment - 0.2).abs() < 1e-6 && scan.range_max < 50.0, "{scan:?}");
-    assert_eq!(messages::<Odometry>(&bag, "/odom").len(), 0, "no pose, no odometry");
-    // What the wheels said is used; and where scans have poses, those without are left out.
+    assert_eq!(messages::<Odometry>(&bag, "/odom").len(), 0, "without poses there must be no odometry");
+    // ODOM lines are used; and if some scans have poses, those without are left out.
     let (_, bag) = converted(folder.path(), format!("{alone}\nODOM 1 0 0 0.5 0 0 10.1 host 1").as_bytes(), &[]);
     assert_eq!(messages::<Odometry>(&bag, "/odom").len(), 1);
-    let (said, _) = converted(folder.path(), format!("{alone}\n{}", front_laser("0 0 0 0 0 0", "1")).as_bytes(), &[]);
-    assert!(said.contains("1 scans") && said.contains("2 RAWLASER1"), "{said}");
+    let (reported, _) = converted(folder.path(), format!("{alone}\n{}", front_laser("0 0 0 0 0 0", "1")).as_bytes(), &[]);
+    assert!(reported.contains("1 scans") && reported.contains("2 RAWLASER1"), "{reported}");
     if let Some(log) = crate::common::shared("cases/rawlaser.log") {
-        let (said, bag) = converted(folder.path(), &fs::read(log).unwrap(), &[]);
-        assert!(said.contains("100 scans"), "{said}");
+        let (reported, bag) = converted(folder.path(), &fs::read(log).unwrap(), &[]);
+        assert!(reported.contains("100 scans"), "{reported}");
         assert_eq!((messages::<LaserScan>(&bag, "/scan").len(), messages::<Odometry>(&bag, "/odom").len()), (100, 100));
     }
 }
 
 proptest! {
-    /// Bytes of a log overwritten, dropped and doubled.
+    /// Bytes of a log are overwritten, dropped and duplicated.
     #[test]
     fn no_mutation_panics(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0_u8..4), 1..20),
@@ -253,7 +258,7 @@ proptest! {
 }
 
 #[test]
-fn the_intel_log_becomes_the_bag_made_of_it_by_others() {
+fn the_intel_log_becomes_the_same_bag_as_by_another_converter() {
     let (Some(log), Some(theirs)) =
         (crate::common::shared("data/intel/intel.clf.bz2"), crate::common::shared("data/intel/intel.bag"))
     else {

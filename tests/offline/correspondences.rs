@@ -1,10 +1,10 @@
-//! Every correspondence search against brute force.
+//! Compares every correspondence search with brute force.
 
 use std::f64::consts::{PI, TAU};
 
 use crate::common::{Laser, uniform};
 use anytime_scan_matcher::geometry::{Point, Pose2};
-use anytime_scan_matcher::matching::classic::correspondence::{Correspondence, Nearest};
+use anytime_scan_matcher::matching::classic::correspondence::{CorrespondenceKind, Nearest};
 use anytime_scan_matcher::matching::classic::reference::Reference;
 use anytime_scan_matcher::scan::Scan;
 use anytime_scan_matcher::time::Stamp;
@@ -19,7 +19,7 @@ fn lasers() -> Vec<Laser> {
         Laser::with_field_of_view(350.0, 200),
         Laser::with_field_of_view(359.0, 360),
         Laser::with_field_of_view(40.0, 10),
-        // All round, with the last beam on the first or one increment before it, starting anywhere.
+        // A full turn, with the last beam on the first or one increment before it, starting anywhere.
         Laser::with_field_of_view(360.0, 241),
         Laser { angle_min: 1.3, increment: TAU / 300.0, beams: 300 },
         Laser { angle_min: 0.0, increment: TAU / 150.0, beams: 150 },
@@ -41,15 +41,15 @@ fn moved_points(scan: &Scan, by: Pose2) -> Vec<Point> {
     scan.rays().map(|(_, direction, range)| by.transform().apply(direction * range)).collect()
 }
 
-/// Compares all searches over two calls, the second with the first's answers as a start; returns the number of comparisons.
+/// Compares all searches over two calls, of which the second starts from the results of the first; returns the number of comparisons.
 fn check(reference_scan: &Scan, sensed: &Scan, motions: [Pose2; 2], max_distance: f64) -> usize {
     let mut reference = Reference::default();
     reference.set(reference_scan);
     let mut compared = 0;
-    for &kind in Correspondence::ALL {
+    for &kind in CorrespondenceKind::ALL {
         let Some(mut search) = kind.search() else { continue };
         search.prepare(&reference);
-        let mut oracle = Correspondence::Naive.search().unwrap();
+        let mut oracle = CorrespondenceKind::Naive.search().unwrap();
         oracle.prepare(&reference);
         let mut found = vec![Nearest::NONE; sensed.valid_len()];
         for motion in motions {
@@ -59,13 +59,13 @@ fn check(reference_scan: &Scan, sensed: &Scan, motions: [Pose2; 2], max_distance
             oracle.find(&reference, &points, max_distance, &mut expected);
             for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
                 assert_eq!(
-                    found.found(),
-                    expected.found(),
+                    found.is_match(),
+                    expected.is_match(),
                     "{} {i} {:?}: {found:?}, nearest is {expected:?}",
                     kind.name(),
                     points[i]
                 );
-                if expected.found() {
+                if expected.is_match() {
                     let difference = found.squared_distance.sqrt() - expected.squared_distance.sqrt();
                     assert!(difference.abs() < 1e-12, "{} {i} {:?}: {found:?}, nearest is {expected:?}", kind.name(), points[i]);
                 }

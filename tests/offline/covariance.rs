@@ -1,8 +1,8 @@
-//! The closed-form covariance against what it stands for.
+//! Compares the closed-form covariance with its definition.
 
 use crate::common::Laser;
 use anytime_scan_matcher::geometry::{Pose2, PoseCovariance};
-use anytime_scan_matcher::matching::classic::correspondence::Correspondence;
+use anytime_scan_matcher::matching::classic::correspondence::CorrespondenceKind;
 use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::solver::SolverKind;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
@@ -15,7 +15,7 @@ const NOISE: f64 = 0.01;
 
 fn matcher(solver: SolverKind) -> Matcher {
     let knobs = MatchingKnobs {
-        correspondence: Correspondence::JumpTable,
+        correspondence: CorrespondenceKind::JumpTable,
         solver,
         epsilon_translation: 1e-9,
         epsilon_rotation: 1e-9,
@@ -44,14 +44,14 @@ fn changed(scan: &Scan, ray: usize, by: f64) -> Scan {
     Scan::new(scan.stamp(), scan.beams().clone().into(), (0.01, 30.0), ranges).unwrap()
 }
 
-/// The covariance is `noise^2 * sum of (d pose / d range)^2`; the derivatives here by finite differences of whole matches.
+/// The covariance is `noise^2 * sum of (d pose / d range)^2`; here the derivatives are finite differences of whole matches.
 #[test]
 fn it_agrees_with_finite_differences_of_the_match() {
     let mut rng = Pcg64::seed_from_u64(51);
     let laser = Laser::with_field_of_view(360.0 - 4.0, 90);
     for solver in [SolverKind::PointToLine, SolverKind::PointToPoint] {
         let pose = Pose2::new(0.02, -0.03, 0.01);
-        // Noise of nearly nothing: the residuals must not outweigh the nominal noise, nor change the pairs.
+        // Almost no noise: the residuals must not exceed the nominal noise or change the pairs.
         let reference = laser.scan(Pose2::IDENTITY, 1e-4, 0.0, &mut rng);
         let sensed = laser.scan(pose, 1e-4, 0.0, &mut rng);
         let mut matcher = matcher(solver);
@@ -68,7 +68,7 @@ fn it_agrees_with_finite_differences_of_the_match() {
             let mut of = |by: f64| solve(&mut matcher, &reference, &changed(&sensed, ray, by), at).0;
             add(of(step), of(-step));
         }
-        // Point-to-point residuals are as large as the gaps between points, and count as noise.
+        // Point-to-point residuals are as large as the gaps between points and count as noise.
         let scale = covariance.trace() / expected.trace();
         assert!(scale > 0.999, "{}: {scale}", solver.name());
         if solver == SolverKind::PointToLine {
@@ -80,7 +80,7 @@ fn it_agrees_with_finite_differences_of_the_match() {
 }
 
 #[test]
-fn an_open_direction_has_no_covariance() {
+fn an_unconstrained_direction_has_no_covariance() {
     let laser = Laser::with_field_of_view(120.0, 121);
     let wall = |_: f64| {
         let ranges = laser.geometry().directions().iter().map(|d| 2.0 / d.x).collect::<Vec<_>>();
@@ -92,7 +92,7 @@ fn an_open_direction_has_no_covariance() {
     let mut refinement = matcher.begin(&sensed, Pose2::new(0.1, 0.2, 0.0));
     while refinement.refine().is_none() {}
     let pose = refinement.pose();
-    assert!(pose.x.abs() < 1e-6 && (pose.y - 0.2).abs() < 0.01, "along the wall the guess stays: {pose:?}");
+    assert!(pose.x.abs() < 1e-6 && (pose.y - 0.2).abs() < 0.01, "along the wall the pose must stay at the guess: {pose:?}");
     let uncertainty = refinement.uncertainty().unwrap();
     assert!(uncertainty.condition_number > 1e9, "{uncertainty:?}");
     assert!(uncertainty.covariance.is_none_or(|c| c.m22 > 1.0), "{uncertainty:?}");

@@ -1,5 +1,5 @@
-//! What is written beside the code, held against it: the table of parameters, links, paths, the two commands of the README.
-//! `UPDATE_GOLDEN=1 cargo test --test offline documents` renews the table.
+//! Checks the documents against the code: the table of parameters, links, paths, the two commands of the README.
+//! `UPDATE_GOLDEN=1 cargo test --test offline documents` updates the table.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// All documents, by their path from the root.
+/// All documents with their path from the root.
 fn documents() -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
     for folder in ["", "docs"] {
@@ -29,7 +29,7 @@ fn documents() -> Vec<(PathBuf, String)> {
     found
 }
 
-/// The headings of a document as GitHub names them in links.
+/// The headings of a document as GitHub anchors.
 fn anchors(text: &str) -> Vec<String> {
     let headings = text.lines().filter(|line| line.starts_with('#'));
     headings
@@ -40,8 +40,8 @@ fn anchors(text: &str) -> Vec<String> {
         .collect()
 }
 
-/// Whether a link of a document leads somewhere. Links to other sites are not followed.
-fn leads_somewhere(document: &Path, text: &str, link: &str) -> bool {
+/// Whether the target of a link exists. Links to other sites are not checked.
+fn target_exists(document: &Path, text: &str, link: &str) -> bool {
     if link.starts_with("http") {
         return true;
     }
@@ -55,7 +55,7 @@ fn leads_somewhere(document: &Path, text: &str, link: &str) -> bool {
     anchor.is_empty() || anchors(&text).iter().any(|known| known == anchor)
 }
 
-/// Words of code, inline or in blocks, that name a file or folder of this project.
+/// Words in code, inline or in blocks, that name a file or folder of this project.
 fn paths(text: &str) -> impl Iterator<Item = &str> {
     const FOLDERS: [&str; 14] = [
         "src/",
@@ -81,7 +81,7 @@ fn paths(text: &str) -> impl Iterator<Item = &str> {
 }
 
 #[test]
-fn the_table_of_parameters_is_fresh() {
+fn the_table_of_parameters_is_up_to_date() {
     let path = root().join("docs/parameters.md");
     let document = fs::read_to_string(&path).unwrap();
     let (before, rest) = document.split_once(BEGIN).unwrap();
@@ -91,31 +91,31 @@ fn the_table_of_parameters_is_fresh() {
         fs::write(&path, [before, BEGIN, &expected, END, after].concat()).unwrap();
     } else {
         let differs = found.lines().zip(expected.lines()).find(|(found, expected)| found != expected);
-        assert!(found == expected, "renew the table (UPDATE_GOLDEN=1 cargo test --test offline documents): {differs:#?}");
+        assert!(found == expected, "update the table (UPDATE_GOLDEN=1 cargo test --test offline documents): {differs:#?}");
     }
 }
 
 #[test]
-fn links_and_paths_lead_somewhere() {
+fn links_and_paths_exist() {
     let mut broken = Vec::new();
     for (document, text) in documents() {
         let links = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
-        let links = links.filter(|link| !leads_somewhere(&document, &text, link));
+        let links = links.filter(|link| !target_exists(&document, &text, link));
         let missing = links.chain(paths(&text).filter(|path| !root().join(path).exists()));
         broken.extend(missing.map(|target| format!("{}: {target}", document.display())));
     }
-    assert!(broken.is_empty(), "these lead nowhere:\n{}", broken.join("\n"));
+    assert!(broken.is_empty(), "broken links and paths:\n{}", broken.join("\n"));
 }
 
-/// Whoever opens the README sees at once how to see it work and how to test it; what checks the project runs the same.
+/// The README begins with the commands to try the project and to test it, and CI runs the same commands.
 #[test]
-fn the_two_commands_are_on_the_first_screen_and_are_what_is_checked() {
+fn the_readme_starts_with_the_two_commands_that_ci_runs() {
     let readme = fs::read_to_string(root().join("README.md")).unwrap();
     let checks = fs::read_to_string(root().join(".ci/run")).unwrap();
     let first_screen: Vec<&str> = readme.lines().take(25).collect();
     let commands = first_screen.iter().filter(|line| line.starts_with("cargo "));
     let commands: Vec<&str> = commands.map(|line| line.split('#').next().unwrap().trim()).collect();
-    let [run, test] = commands[..] else { panic!("two commands are expected: {commands:?}") };
+    let [run, test] = commands[..] else { panic!("expected two commands: {commands:?}") };
     assert!(run.starts_with("cargo run") && test == "cargo test", "{commands:?}");
     for command in commands {
         let step = format!("step {command}");
@@ -124,7 +124,7 @@ fn the_two_commands_are_on_the_first_screen_and_are_what_is_checked() {
 }
 
 #[test]
-fn ten_places_are_where_contributors_are_sent() {
+fn the_ten_places_of_the_contributing_guide_exist() {
     let text = fs::read_to_string(root().join("CONTRIBUTING.md")).unwrap();
     let (_, section) = text.split_once("## Ten places").unwrap();
     let (section, _) = section.split_once("\n## ").unwrap();

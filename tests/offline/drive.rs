@@ -1,4 +1,4 @@
-//! `anytime drive`, and the closed loop behind it.
+//! Tests of `anytime drive` and of the closed loop behind it.
 
 use std::fs;
 use std::process::{Command, Output};
@@ -30,12 +30,12 @@ fn every_law_drives_laps_of_the_corridor_by_the_truth() {
 }
 
 #[test]
-fn a_car_whose_wheels_are_not_straight_follows_as_well() {
+fn steering_trim_is_compensated() {
     let by_truth = ["--estimator", "truth", "--laps", "1", "--speed", "5", "--seeds", "3"];
     let with =
         |offset: &str| number(&cases(&[&by_truth[..], &["--steering-offset", offset]].concat())[0], &["lateral_error_m", "mean"]);
-    let (straight, bent) = (with("0"), with("1"));
-    assert!(bent < straight + 0.01, "{straight} m with straight wheels, {bent} m with others");
+    let (straight, with_offset) = (with("0"), with("1"));
+    assert!(with_offset < straight + 0.01, "{straight} m with straight wheels, {with_offset} m with a steering offset");
 }
 
 #[test]
@@ -56,7 +56,7 @@ fn equal_seeds_give_equal_bytes() {
 }
 
 #[test]
-fn answers_come_as_late_as_their_work_takes() {
+fn answers_are_delayed_by_the_time_of_their_work() {
     let age = |slowdown: &str| {
         let arguments = ["--laps", "1", "--speed", "2", "--estimator", "scan_matcher", "--beams", "361", "--slowdown", slowdown];
         let case = &cases(&arguments)[0];
@@ -64,12 +64,12 @@ fn answers_come_as_late_as_their_work_takes() {
     };
     let ((quick, little, none), (slow, much, some)) = (age("1"), age("x400"));
     assert!(slow > quick + 0.01 && none == 0.0 && some > 0.0, "{quick} {slow} {some}");
-    // Fewer scans are answered, each for 400 times as much.
+    // Fewer scans are processed, and each costs 400 times as much.
     assert!((40.0..800.0).contains(&(much / little)), "{little} {much}");
 }
 
 #[test]
-fn late_paths_leave_no_step_and_no_stop() {
+fn late_paths_cause_no_jump_and_no_stop() {
     let arguments = ["--estimator", "truth", "--laps", "1", "--speed", "7", "--replan", "5", "--path-delay", "2s"];
     let case = &cases(&arguments)[0];
     assert_eq!((number(case, &["finished"]), number(case, &["stopped"])), (1.0, 0.0), "{case}");
@@ -77,7 +77,7 @@ fn late_paths_leave_no_step_and_no_stop() {
 }
 
 #[test]
-fn a_table_from_elsewhere_is_warned_about_and_one_of_its_own_is_not() {
+fn a_table_outside_its_conditions_causes_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().to_str().unwrap();
     let profile = ["profile", "--world", "room", "--duration", "3s", "--beams", "90", "--knob", "time_budget", "--rounds", "1"];
@@ -94,12 +94,12 @@ fn a_table_from_elsewhere_is_warned_about_and_one_of_its_own_is_not() {
     let file = format!("contract.profile={out}/profile.yaml");
     let output = anytime(&[&drive[..], &["--set", &file, "--out", out]].concat());
     let text = String::from_utf8(output.stdout).unwrap();
-    assert!(text.contains("warning: ") && text.contains("outside of what the profile is of: rays 361"), "{text}");
-    assert!(fs::read_to_string(folder.path().join("report.html")).unwrap().contains("outside of what the profile is of"));
+    assert!(text.contains("warning: ") && text.contains("outside the conditions of the profile: rays 361"), "{text}");
+    assert!(fs::read_to_string(folder.path().join("report.html")).unwrap().contains("outside the conditions of the profile"));
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_with_a_remedy() {
+fn invalid_arguments_are_rejected_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str, text: &str| {
         let path = folder.path().join(name);
@@ -126,5 +126,5 @@ fn what_makes_no_sense_is_refused_with_a_remedy() {
     }
     let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(["drive", "--world", "nowhere"]).output().unwrap();
     let text = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.code() == Some(2) && text.contains("there is no map of that name"), "{text}");
+    assert!(output.status.code() == Some(2) && text.contains("there is no map file of this name"), "{text}");
 }

@@ -1,4 +1,4 @@
-//! Trajectories against truth, through the public interface, on synthetic paths and on the relations of real logs.
+//! Evaluation of trajectories against the truth, through the public interface, on synthetic paths and on the relations of real logs.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -21,7 +21,7 @@ use crate::common::skipped::skip;
 
 const EPOCH_NS: i64 = 1_795_374_577_083_470_347;
 
-/// A drive along a winding lane, one pose each 25 ms.
+/// A drive along a winding lane, with a pose every 25 ms.
 fn drive(poses: usize) -> Trajectory {
     let pose_at = |i: usize| {
         let s = 0.05 * i as f64;
@@ -94,7 +94,7 @@ mod metrics {
     }
 
     #[test]
-    fn poses_without_truth_nearby_are_left_out() {
+    fn poses_without_nearby_truth_are_left_out() {
         let (whole, part) = (drive(400), drive(300));
         assert_eq!(compare(&whole, &part).len(), 300);
         let holed =
@@ -103,7 +103,7 @@ mod metrics {
     }
 
     #[test]
-    fn other_clocks_are_an_error_that_shows_both() {
+    fn different_clocks_are_an_error_that_shows_both() {
         let truth = drive(3);
         let other = mapped(&truth, |p| StampedPose { stamp: Stamp::from_nanoseconds(p.stamp.nanoseconds() - EPOCH_NS), ..*p });
         let message = associate(&other, &truth, 0.1).unwrap_err().to_string();
@@ -140,7 +140,7 @@ mod files {
     }
 
     #[test]
-    fn both_forms_comments_blanks_and_crlf_are_read() {
+    fn both_formats_comments_blank_lines_and_crlf_are_read() {
         let three_forms = [
             "# x y theta\n\n 1.000000001 1 2 0.5\r\n2 3 4 -0.5",
             "1.000000001 1 2 9 0 0 0.24740395925452294 0.9689124217106447\n2 3 4 9 0 0 -0.24740395925452294 0.9689124217106447",
@@ -156,35 +156,35 @@ mod files {
     }
 
     #[test]
-    fn faults_name_file_line_and_remedy() {
+    fn errors_name_file_line_and_remedy() {
         for (text, expected) in [
-            ("", "there is nothing in drive.tum: expected lines of `timestamp x y z qx qy qz qw`"),
-            ("# nothing\n\n", "there is nothing in drive.tum: expected lines of `timestamp x y z qx qy qz qw`"),
+            ("", "drive.tum has no data: expected lines of `timestamp x y z qx qy qz qw`"),
+            ("# nothing\n\n", "drive.tum has no data: expected lines of `timestamp x y z qx qy qz qw`"),
             ("1 2 3\n", "drive.tum:1: 3 columns: expected `timestamp x y z qx qy qz qw` or `timestamp x y theta`"),
-            ("#\n1 2 3 4\n2 2 nan 4\n", "drive.tum:3: y is `nan`: expected a finite number (remove the line, or repair it)"),
-            ("1 2 3 inf", "drive.tum:1: theta is `inf`: expected a finite number (remove the line, or repair it)"),
-            ("1 2 3 4,5", "drive.tum:1: theta is `4,5`: expected a finite number (remove the line, or repair it)"),
+            ("#\n1 2 3 4\n2 2 nan 4\n", "drive.tum:3: y is `nan`: expected a finite number (fix or remove the line)"),
+            ("1 2 3 inf", "drive.tum:1: theta is `inf`: expected a finite number (fix or remove the line)"),
+            ("1 2 3 4,5", "drive.tum:1: theta is `4,5`: expected a finite number (fix or remove the line)"),
             ("nan 2 3 4", "drive.tum:1: the stamp is `nan`: expected seconds such as 1795374577.083470347"),
             ("1e300 2 3 4", "drive.tum:1: the stamp is `1e300`: expected seconds such as 1795374577.083470347"),
             (
                 "1 0 0 0 1 0 0 1",
                 "drive.tum:1: the quaternion's norm is 1.414: expected 1 (are the columns `timestamp x y z qx qy qz qw`?)",
             ),
-            ("1 0 0 0 0 0 0 1\n2 0 0 0\n", "drive.tum:2: 4 columns, but 8 in the lines before (cut off? remove the line)"),
+            ("1 0 0 0 0 0 0 1\n2 0 0 0\n", "drive.tum:2: 4 columns, but 8 in the lines before (truncated? remove the line)"),
         ] {
             assert_eq!(tum_error(text), expected);
         }
     }
 
     #[test]
-    fn faults_of_relations_are_named_too() {
+    fn errors_in_relations_name_file_line_and_remedy() {
         for (text, expected) in [
-            ("# none\n", "there is nothing in lab.relations: expected lines of `t1 t2 x y z roll pitch yaw`"),
+            ("# none\n", "lab.relations has no data: expected lines of `t1 t2 x y z roll pitch yaw`"),
             ("1 2 3 4 5\n", "lab.relations:1: 5 columns: expected `t1 t2 x y z roll pitch yaw`"),
             ("1 x 0 0 0 0 0 0", "lab.relations:1: the stamp is `x`: expected seconds such as 1795374577.083470347"),
             (
                 "1 2 0 0 0 0 0 0\n1 2 0 0 0 0 0 NaN\n",
-                "lab.relations:2: yaw is `NaN`: expected a finite number (remove the line, or repair it)",
+                "lab.relations:2: yaw is `NaN`: expected a finite number (fix or remove the line)",
             ),
         ] {
             assert_eq!(relations_error(text), expected);
@@ -192,13 +192,13 @@ mod files {
     }
 
     #[test]
-    fn what_is_not_text_is_said_to_be_no_trajectory() {
+    fn binary_files_are_not_trajectories() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("drive.bag");
         std::fs::write(&path, b"#ROSBAG V2.0\n\xff\xfe\n").unwrap();
         let message = tum::read(&path).unwrap_err().to_string();
         assert!(
-            message.ends_with("drive.bag:2: not text (is it a bag?): expected lines of `timestamp x y z qx qy qz qw`"),
+            message.ends_with("drive.bag:2: this is not text (is it a bag?): expected lines of `timestamp x y z qx qy qz qw`"),
             "{message}"
         );
         assert!(tum::read(directory.path()).unwrap_err().to_string().starts_with("cannot read "));
@@ -206,7 +206,7 @@ mod files {
 
     proptest! {
         #[test]
-        fn a_written_trajectory_reads_as_itself(records in prop::collection::vec((-i64::MAX..i64::MAX, poses()), 1..50)) {
+        fn a_written_trajectory_is_read_back_unchanged(records in prop::collection::vec((-i64::MAX..i64::MAX, poses()), 1..50)) {
             let stamped = |&(ns, pose): &_| StampedPose { stamp: Stamp::from_nanoseconds(ns), pose };
             let trajectory = Trajectory::new(records.iter().map(stamped).collect()).unwrap();
             let read = tum::parse(&written(&trajectory), Path::new("")).unwrap();
@@ -219,7 +219,7 @@ mod files {
         }
 
         #[test]
-        fn a_file_cut_anywhere_is_read_or_refused_at_its_last_line(cut in 0_usize..1000) {
+        fn a_truncated_file_is_read_or_rejected_at_its_last_line(cut in 0_usize..1000) {
             let whole = written(&drive(12));
             let lines = whole[..cut.min(whole.len())].lines().count();
             match tum::parse(&whole[..cut.min(whole.len())], Path::new("drive.tum")) {
@@ -241,7 +241,7 @@ mod files {
         }
 
         #[test]
-        fn finite_numbers_of_any_size_make_no_metric_panic(
+        fn finite_numbers_of_any_size_do_not_make_a_metric_panic(
             records in prop::collection::vec((any::<i64>(), any::<f64>(), any::<f64>(), any::<f64>()), 2..20)
         ) {
             let finite = records.iter().filter(|(_, x, y, theta)| x.is_finite() && y.is_finite() && theta.is_finite());
@@ -255,7 +255,7 @@ mod files {
     }
 }
 
-/// The metric of Kuemmerle et al. on real logs: `corrected.txt` is another SLAM system's output, the relations are true.
+/// The metric of Kuemmerle et al. on real logs: `corrected.txt` is the output of another SLAM system, the relations are ground truth.
 mod real_relations {
     use super::*;
 
@@ -361,7 +361,7 @@ mod real_relations {
 
     #[test]
     fn the_dense_log_matches_its_published_figures() {
-        // From the log's README.txt, which carries the 11 stamps without a near pose on by odometry: hence three digits, not nine.
+        // From the log's README.txt, which extrapolates the 11 stamps without a nearby pose by odometry: hence three digits, not nine.
         let Some(RelationErrors { all, .. }) = load("fr079") else { return };
         let figures = [all.trans_m.mean, all.trans_m.std, all.rot_deg.mean, all.rot_deg.std];
         for (figure, published) in figures.into_iter().zip([0.0581, 0.0419, 0.712, 0.691]) {
@@ -369,7 +369,7 @@ mod real_relations {
         }
     }
 
-    /// A python that has numpy, which the script needs.
+    /// A Python with numpy, which the script needs.
     fn python() -> Option<String> {
         let named = std::env::var("PYTHON_WITH_NUMPY").ok();
         named
@@ -434,7 +434,7 @@ mod program {
         path.to_str().unwrap().to_owned()
     }
 
-    /// The truth stretched by 1 % and elsewhere: 1 cm of drift per metre of lane.
+    /// The truth stretched by 1 % and moved: 1 cm of drift per metre of lane.
     fn stretched(truth: &Trajectory) -> Trajectory {
         let elsewhere = Pose2::new(5.0, -3.0, 2.0);
         mapped(truth, |p| StampedPose { pose: elsewhere * Pose2::new(1.01 * p.pose.x, 1.01 * p.pose.y, p.pose.theta), ..*p })
@@ -479,7 +479,7 @@ mod program {
     }
 
     #[test]
-    fn exit_codes_tell_usage_from_failure() {
+    fn exit_codes_distinguish_usage_errors_from_failures() {
         let directory = tempfile::tempdir().unwrap();
         let path = save(directory.path(), "truth.tum", &drive(10));
         for usage_error in [
@@ -496,7 +496,7 @@ mod program {
     }
 
     #[test]
-    fn odd_trajectories_are_drawn_or_refused() {
+    fn odd_trajectories_are_plotted_or_rejected() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("plot.svg");
         let still = mapped(&drive(5), |p| StampedPose { pose: Pose2::IDENTITY, ..*p });

@@ -1,7 +1,7 @@
-//! Readers of files and messages, given valid input that was spoiled: errors are welcome, panics and greed for memory are not.
+//! Fuzzes the readers of files and messages with mutated valid input: errors are allowed, panics and excessive memory use are not.
 //!
-//! Every file under `tests/corpus/` is read as it is, and after edits that proptest makes up: 256 times in an ordinary run, longer by
-//! `PROPTEST_CASES=100000 cargo test --test offline fuzz`. What ever made a reader fail is kept there, beside the valid files.
+//! Every file under `tests/corpus/` is read unchanged and after random edits by proptest: 256 times in an ordinary run, longer with
+//! `PROPTEST_CASES=100000 cargo test --test offline fuzz`. Inputs that once made a reader fail are kept there, beside the valid files.
 
 use std::fs;
 use std::io::Write as _;
@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use crate::common::Laser;
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::{Answering as _, App, map_message};
+use anytime_scan_matcher::app::{App, ScanProcessor as _, map_message};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
@@ -28,9 +28,9 @@ use anytime_scan_matcher::time::Stamp;
 use proptest::prelude::*;
 use tempfile::TempDir;
 
-/// Bytes that a reader may take for some kilobytes of input.
+/// Maximum memory that a reader may allocate for some kilobytes of input, bytes.
 const MOST_MEMORY: u64 = 64 << 20;
-/// What text is spoiled with.
+/// Strings that are inserted into text.
 const WORDS: [&str; 16] =
     ["nan", "-inf", "1e999", "-1", "18446744073709551616", "0", ":", "[", "]", "{", "&a ", "*a", "\n", "\t", "-", "\u{fe0f}"];
 
@@ -41,7 +41,7 @@ fn corpus(folder: &str) -> Vec<PathBuf> {
     files
 }
 
-/// One change to some bytes.
+/// One edit of some bytes.
 #[derive(Clone, Debug)]
 enum Edit {
     Flip(u8),
@@ -85,7 +85,7 @@ fn spoil(bytes: &[u8], edits: &[(Edit, u16)]) -> Vec<u8> {
     bytes
 }
 
-/// Whether there is something in these bytes that can be read.
+/// Whether these bytes can be read. Fails if the reader allocates more than `memory`.
 fn check(read: impl Fn(&[u8]) -> bool, bytes: &[u8], memory: u64) -> bool {
     let mut readable = false;
     let info = allocation_counter::measure(|| readable = read(bytes));
@@ -93,16 +93,19 @@ fn check(read: impl Fn(&[u8]) -> bool, bytes: &[u8], memory: u64) -> bool {
     readable
 }
 
-/// Reads the files of `folder`, then spoiled ones.
+/// Reads the files of `folder`, then mutated ones.
 fn fuzz(folder: &str, memory: u64, read: impl Fn(&[u8]) -> bool) {
     let files: Vec<Vec<u8>> = corpus(folder).iter().map(|path| fs::read(path).unwrap()).collect();
-    assert!(files.iter().filter(|bytes| check(&read, bytes, memory)).count() == files.len(), "some of {folder} is refused");
+    assert!(
+        files.iter().filter(|bytes| check(&read, bytes, memory)).count() == files.len(),
+        "some files of {folder} are rejected"
+    );
     proptest!(|(file in prop::sample::select(files), edits in edits())| {
         check(&read, &spoil(&file, &edits), memory);
     });
 }
 
-/// Gives the application whatever these bytes can be taken for; whether it made use of it.
+/// Gives these bytes to the application as every message type they decode to; returns whether it accepted any.
 fn handle(app: &mut App, bytes: &[u8]) -> bool {
     let scan = decode(bytes).map(|message: LaserScan| app.on_scan(&message, Duration::ZERO));
     let cloud = decode(bytes).map(|message: PointCloud2| app.on_cloud(&message, Duration::ZERO));
@@ -174,7 +177,7 @@ fn configurations() {
     });
 }
 
-/// A map is two files; the image's name tells its format.
+/// A map is two files; the name of the image determines its format.
 fn read_map(description: &[u8], image: &[u8]) -> bool {
     let dir = TempDir::new().unwrap();
     fs::write(dir.path().join("map.yaml"), description).unwrap();
@@ -216,7 +219,7 @@ fn map() -> OccupancyGrid {
     OccupancyGrid { info, data: vec![0, 0, 100, -1, 0, 0, 100, -1, 0, 0, 100, -1], ..OccupancyGrid::default() }
 }
 
-/// The valid files that are no text: `cargo test --test offline fuzz -- --ignored`.
+/// Writes the valid binary files: `cargo test --test offline fuzz -- --ignored`.
 #[test]
 #[ignore = "writes the corpus"]
 fn write_the_corpus() {

@@ -1,11 +1,11 @@
-//! `/initialpose` in a simulator: the same message moves the car, and nobody knows who hears of it first.
+//! `/initialpose` in a simulator: the same message also moves the car, and the order of its receivers is unknown.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::anytime::interrupt::Never;
-use anytime_scan_matcher::app::{Answering as _, App};
+use anytime_scan_matcher::anytime::interrupt::NeverInterrupt;
+use anytime_scan_matcher::app::{App, ScanProcessor as _};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::messages::geometry_msgs::PoseWithCovarianceStamped;
@@ -20,19 +20,19 @@ use anytime_scan_matcher::time::Stamp;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
-const TRIES: u64 = 40;
+const TRIALS: u64 = 40;
 const SCANS_BEFORE: u32 = 10;
 const SCANS_AFTER: u32 = 12;
-/// From the scan to its arrival, s.
+/// Delay from a scan to its arrival, s.
 const LATENCY: f64 = 0.002;
 const START: f64 = 1000.0;
 
-/// One try at a rate, Hz: how far the matcher is off in the end.
+/// One trial at a scan rate, Hz.
 struct Try {
     rate: f64,
     with_odometry: bool,
     is_stamped: bool,
-    /// The matcher hears of the pose so much before the car is moved, s; less than zero: after.
+    /// Time by which the matcher receives the pose before the car is moved, s; negative: after.
     lead: f64,
     seed: u64,
 }
@@ -52,7 +52,7 @@ impl Try {
         for _ in 0..50 {
             car.step(driver.command(&car.map_from_base(), car.twist().vx), 0.02); // gets going
         }
-        let told = if self.seed.is_multiple_of(4) {
+        let target = if self.seed.is_multiple_of(4) {
             car.map_from_base() * Pose2::new(random.random_range(-0.4..0.4), random.random_range(-0.3..0.3), 0.3)
         } else {
             place(random.random_range(0..scene.route.points().len()))
@@ -67,7 +67,7 @@ impl Try {
         config.odometry.initial_pose = car.map_from_base();
         let mut app = App::new(&config, Arc::new(VirtualClock::new(Duration::from_micros(1)))).unwrap();
         let mut message = PoseWithCovarianceStamped::default();
-        message.pose.pose = told.into();
+        message.pose.pose = target.into();
         if self.is_stamped {
             message.header.stamp = Stamp::from_seconds(told_at.min(moved_at) - 0.001).into();
         }
@@ -82,8 +82,8 @@ impl Try {
             };
             if !is_moved && next >= moved_at {
                 step(&mut car, &mut driver, moved_at - time);
-                car.teleport(told);
-                driver.find(told.translation());
+                car.teleport(target);
+                driver.find(target.translation());
                 (is_moved, time) = (true, moved_at);
             }
             step(&mut car, &mut driver, next - time);
@@ -102,7 +102,7 @@ impl Try {
             }
             let mut estimate = app.on_scan(&scan, arrival(next + LATENCY));
             app.conclude(&mut estimate);
-            app.maintain(&Never);
+            app.maintain(&NeverInterrupt);
             after += u32::from(next > settled);
             if after == SCANS_AFTER {
                 return truth.between(&estimate.registration.map_from_base());
@@ -112,16 +112,16 @@ impl Try {
 }
 
 #[test]
-fn the_pose_is_right_whoever_hears_of_it_first() {
+fn the_pose_is_right_whoever_receives_it_first() {
     let scene = Scene::built_in(BuiltIn::Corridor).unwrap();
     for rate in [40.0, 200.0, 1000.0] {
         let mut wrong = Vec::new();
         let mut worst = (0.0_f64, 0.0_f64);
-        for seed in 0..TRIES {
+        for seed in 0..TRIALS {
             let mut random = Pcg64::seed_from_u64(1000 + seed);
             let with_odometry = seed.is_multiple_of(2);
             let is_stamped = random.random();
-            // Simulators take up to some periods of their loop to move the car; who subscribes late hears late.
+            // Simulators take up to some periods of their loop to move the car; a late subscriber receives the message late.
             let lead = if seed.is_multiple_of(3) {
                 -random.random_range(0.0..0.01)
             } else {
@@ -129,7 +129,7 @@ fn the_pose_is_right_whoever_hears_of_it_first() {
             };
             let error = Try { rate, with_odometry, is_stamped, lead, seed }.error(&scene);
             worst = (worst.0.max(error.distance()), worst.1.max(error.theta.abs().to_degrees()));
-            // The car drives at 2 m/s, and between two scans nobody knows when it was moved.
+            // The car drives at 2 m/s, and it is unknown when it was moved between two scans.
             let bound = 0.05 + 2.0 * 1.0 / rate;
             if error.distance() > bound || error.theta.abs().to_degrees() > 3.0 {
                 wrong.push((seed, lead, is_stamped, with_odometry, error));

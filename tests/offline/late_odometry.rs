@@ -1,13 +1,13 @@
-//! Scans that are answered before their odometry has come.
+//! Scans that are processed before their odometry has arrived.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::{Answering as _, App, Estimate};
+use anytime_scan_matcher::app::{App, Estimate, ScanProcessor as _};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
-use anytime_scan_matcher::mapping::Passage;
+use anytime_scan_matcher::mapping::MotionStatus;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::std_msgs::Header;
 use anytime_scan_matcher::time::Stamp;
@@ -19,7 +19,7 @@ struct Robot {
     laser: Laser,
 }
 
-/// More than a match is let correct, less than it can: it is refused for certain.
+/// A heading change that exceeds the allowed correction but not the search: the match is certain to be rejected, rad.
 const TURN: f64 = 0.3;
 
 impl Robot {
@@ -37,7 +37,7 @@ impl Robot {
         self.app.on_odometry(&message).unwrap();
     }
 
-    /// What it sees in a corridor along x that has no ends.
+    /// Processes a scan in an endless corridor along x.
     fn scan_in_corridor(&mut self, seconds: f64) -> Estimate {
         let mut message = self.laser.message(Stamp::from_seconds(seconds), Pose2::IDENTITY);
         for (range, direction) in message.ranges.iter_mut().zip(self.laser.geometry().directions()) {
@@ -52,9 +52,9 @@ impl Robot {
     }
 }
 
-/// Long steps, as when scans are lost: odometry knows of them, and tells it a little later than the scan comes.
+/// Long steps, as when scans are lost: odometry measures them, but arrives a little later than the scan.
 #[test]
-fn a_scan_that_fits_nothing_until_its_odometry_is_there_leads_nowhere() {
+fn a_scan_without_a_match_before_its_odometry_does_no_harm() {
     let turned = |i: u32| Pose2::new(0.0, 0.0, TURN * f64::from(i));
     let mut robot = Robot::new();
     for i in 0..5 {
@@ -62,20 +62,20 @@ fn a_scan_that_fits_nothing_until_its_odometry_is_there_leads_nowhere() {
         robot.scan(0.1 * f64::from(i), turned(0));
     }
     let early = robot.scan(1.0, turned(1));
-    assert!(!early.registration.outcome.is_ok() && early.passage().is_none(), "{:?}", early.registration);
+    assert!(!early.registration.outcome.is_ok() && early.motion_status().is_none(), "{:?}", early.registration);
     robot.odometry(1.0, turned(1));
     for i in 1..4 {
         robot.odometry(1.0 + 0.1 * f64::from(i), turned(1));
         let answer = robot.scan(1.0 + 0.1 * f64::from(i), turned(1));
         let error = turned(1).between(&answer.registration.odom_from_base);
         assert!(error.distance() < 0.1 && error.theta.abs() < 0.05, "{i}: {error:?}");
-        assert_ne!(answer.passage(), Some(Passage::Start));
+        assert_ne!(answer.motion_status(), Some(MotionStatus::Start));
     }
 }
 
-/// Where odometry has died, or nothing fits though it has come, the robot goes on from where it is thought to be.
+/// If odometry has stopped, or nothing fits although it has arrived, the robot continues from its estimated pose.
 #[test]
-fn only_one_scan_is_passed_over() {
+fn only_one_scan_is_skipped() {
     let mut robot = Robot::new();
     let place = Pose2::IDENTITY;
     for i in 0..5 {
@@ -83,19 +83,20 @@ fn only_one_scan_is_passed_over() {
         robot.scan(0.1 * f64::from(i), place);
     }
     let elsewhere = Pose2::new(0.0, 0.0, TURN);
-    let passages = [1.0, 1.1].map(|seconds| robot.scan(seconds, elsewhere).passage());
-    assert_eq!(passages, [None, Some(Passage::Lost)]);
-    assert_eq!(robot.scan(1.2, elsewhere).passage(), Some(Passage::Known), "it has a new keyframe");
+    let statuses = [1.0, 1.1].map(|seconds| robot.scan(seconds, elsewhere).motion_status());
+    assert_eq!(statuses, [None, Some(MotionStatus::Lost)]);
+    assert_eq!(robot.scan(1.2, elsewhere).motion_status(), Some(MotionStatus::Known), "there must be a new keyframe");
 }
 
-/// Odometry says for 0.3 s that the robot stands, which drives at 4 m/s, and then catches up at once. The corridor does not tell.
+/// For 0.3 s odometry reports standstill although the robot drives at 4 m/s, and then catches up at once. The corridor does not constrain the
+/// motion along it.
 #[test]
-fn odometry_that_stands_still_for_a_while_is_doubted() {
+fn frozen_odometry_inflates_the_covariance() {
     let mut robot = Robot::new();
     for i in 0..80 {
         let seconds = 0.025 * f64::from(i);
-        let told = if (40..52).contains(&i) { 0.975 } else { seconds };
-        robot.odometry(seconds, Pose2::new(4.0 * told, 0.0, 0.0));
+        let reported_time = if (40..52).contains(&i) { 0.975 } else { seconds };
+        robot.odometry(seconds, Pose2::new(4.0 * reported_time, 0.0, 0.0));
         let found = robot.scan_in_corridor(seconds).registration;
         let (error, sigma) = (found.odom_from_base.x - 4.0 * seconds, found.covariance.m11.sqrt());
         assert!(error.abs() < 3.0 * sigma + 0.01, "{seconds:.3} s: {error:.3} m off, sigma {sigma:.3} m");

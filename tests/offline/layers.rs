@@ -1,11 +1,11 @@
-//! The architecture of `src/lib.rs`, held against the imports: a module uses only modules of the layers below its own, and modules of one
-//! folder do not use each other in a circle.
+//! Checks the architecture of `src/lib.rs` against the imports: a module uses only modules of the layers below its own, and the modules of a
+//! folder do not use each other in a cycle.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// From the bottom up. Modules of one layer do not know each other.
+/// From the bottom up. Modules of one layer do not use each other.
 const LAYERS: [&[&str]; 13] = [
     &["time", "geometry", "quantile", "parallel", "output", "text_table"],
     &["knobs", "map"],
@@ -22,7 +22,7 @@ const LAYERS: [&[&str]; 13] = [
     &["drive"],
 ];
 
-/// The source files in a folder and those below it.
+/// The source files in a folder and its subfolders.
 pub(crate) fn rust_files(folder: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -43,7 +43,7 @@ fn layer(module: &str) -> usize {
         .unwrap_or_else(|| panic!("{module} is in no layer: add it to tests/offline/layers.rs"))
 }
 
-/// Names after `crate::` in code, comments left out.
+/// Names after `crate::` in code, without comments.
 fn imports(text: &str) -> Vec<String> {
     let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
     code.flat_map(|line| {
@@ -84,7 +84,7 @@ fn module(source: &Path, file: &Path) -> Vec<String> {
     names
 }
 
-/// The paths that a file of `module` names after `use`, from the crate's root; tests left out.
+/// The paths that a file of `module` imports with `use`, from the crate's root; without tests.
 fn used(text: &str, module: &[String]) -> Vec<Vec<String>> {
     let code = text.split("#[cfg(test)]").next().unwrap();
     let statements = code.split("use ").skip(1).filter_map(|rest| rest.split(';').next());
@@ -123,7 +123,7 @@ fn expand(prefix: String, tree: &str, paths: &mut Vec<String>) {
     }
 }
 
-/// Of each folder the modules that use each other: `folder, module` to the modules of the same folder.
+/// The imports within each folder: `folder, module` to the modules of the same folder that it uses.
 fn uses_in_folders(source: &Path) -> BTreeMap<(Vec<String>, String), BTreeSet<String>> {
     let files: Vec<PathBuf> = rust_files(source).into_iter().filter(|path| !path.starts_with(source.join("bin"))).collect();
     let modules: BTreeSet<Vec<String>> = files.iter().map(|path| module(source, path)).collect();
@@ -142,7 +142,7 @@ fn uses_in_folders(source: &Path) -> BTreeMap<(Vec<String>, String), BTreeSet<St
 }
 
 #[test]
-fn no_modules_of_a_folder_use_each_other_in_a_circle() {
+fn modules_of_a_folder_do_not_use_each_other_in_a_cycle() {
     let uses = uses_in_folders(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"));
     assert!(uses.len() > 100, "{}", uses.len());
     for (folder, start) in uses.keys() {
@@ -151,12 +151,12 @@ fn no_modules_of_a_folder_use_each_other_in_a_circle() {
             let others = uses.get(&(folder.clone(), next)).into_iter().flatten();
             open.extend(others.filter(|other| reached.insert((*other).clone())).cloned());
         }
-        assert!(!reached.contains(start), "{}/{start} uses itself by way of some of {reached:?}", folder.join("/"));
+        assert!(!reached.contains(start), "{}/{start} uses itself through some of {reached:?}", folder.join("/"));
     }
 }
 
 #[test]
-fn imports_are_read_from_trees() {
+fn import_trees_are_parsed() {
     let module = ["ros".to_owned(), "matcher".to_owned()];
     let paths =
         used("use super::{log::Log, a::{self, b}};\nuse std::fs;\nuse crate::app::App;\n#[cfg(test)] use super::no;", &module);
@@ -165,7 +165,7 @@ fn imports_are_read_from_trees() {
 }
 
 #[test]
-fn only_ros_knows_rosrust_and_matching_reads_no_clock() {
+fn only_ros_uses_rosrust_and_matching_reads_no_clock() {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     for path in rust_files(&source) {
         let text = fs::read_to_string(&path).unwrap();

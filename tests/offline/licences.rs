@@ -10,7 +10,7 @@ fn allowed() -> Vec<String> {
     list.split('"').skip(1).step_by(2).map(Into::into).collect()
 }
 
-/// An SPDX expression: alternatives, of which some are to be kept all together.
+/// Whether an SPDX expression permits use under the allowed licences: `OR` needs one of its licences, `AND` all.
 fn permits(expression: &str, allowed: &[String]) -> bool {
     let expression = expression.replace('/', " OR ");
     expression.split(" AND ").all(|part| {
@@ -21,7 +21,7 @@ fn permits(expression: &str, allowed: &[String]) -> bool {
 
 #[test]
 fn licences_of_all_dependencies_are_allowed() {
-    // Without crates for other systems, which need not be there.
+    // Without crates for other systems, which may not be downloaded.
     let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
     let arguments = ["metadata", "--format-version", "1", "--locked", "--offline", "--filter-platform", &platform];
     let output = Command::new(env!("CARGO")).args(arguments).current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap();
@@ -38,7 +38,7 @@ fn licences_of_all_dependencies_are_allowed() {
 }
 
 #[test]
-fn expressions_are_read_as_spdx_means_them() {
+fn spdx_expressions_are_evaluated() {
     let allowed = ["MIT", "Zlib"].map(String::from);
     for (expression, expected) in [
         ("MIT", true),

@@ -1,33 +1,33 @@
-//! The map that is made while the robot drives: against the truth, against the one made afterwards, and what is kept of it.
+//! The map that is built while the robot drives, compared with the truth and with the map built offline, and the data that is kept for it.
 
 use std::convert::Infallible;
 use std::fs;
 use std::sync::Arc;
 
 use anytime_scan_matcher::anytime::clock::MonotonicClock;
-use anytime_scan_matcher::app::sensed::Sensed;
-use anytime_scan_matcher::app::{Answering as _, App};
+use anytime_scan_matcher::app::sensed::SensorMessage;
+use anytime_scan_matcher::app::{App, ScanProcessor as _};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::{Point, Pose2};
 use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::io::map_files::{MapFiles, MapPaths};
 use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::map::grid::{Cell, OccupancyGrid};
-use anytime_scan_matcher::mapping::{EvidenceGrid, LiveMap, Mapper, Passage, Sighting};
+use anytime_scan_matcher::mapping::{EvidenceGrid, LiveMap, Mapper, MotionStatus, PosedScan};
 use anytime_scan_matcher::scan::Scan;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
 
-/// What the odometry of the drive errs by with every scan: too long, and to the left.
+/// Odometry error of the drive per scan: too long, and to the left.
 const ERROR: Pose2 = Pose2 { x: 0.002, y: 0.0, theta: 0.0004 };
 
-/// A drive of some laps, as a bad odometry has it: the scans, and where they were taken, seen from the first one.
-fn drive(seconds: f64) -> Vec<(Sighting, Scan, Pose2)> {
+/// A drive of some laps by bad odometry: the scans, and their true poses relative to the first one.
+fn drive(seconds: f64) -> Vec<(PosedScan, Scan, Pose2)> {
     let mut settings = Settings::default();
     (settings.drive.duration, settings.lidar.beams, settings.lidar.rate) = (Seconds(seconds), 181, 10.0);
     let mut app = App::new(&Config::default(), Arc::new(MonotonicClock::default())).unwrap();
-    let (mut seen, mut before): (Vec<(Sighting, Scan, Pose2)>, Option<Pose2>) = (Vec::new(), None);
+    let (mut seen, mut before): (Vec<(PosedScan, Scan, Pose2)>, Option<Pose2>) = (Vec::new(), None);
     let mut odom_from_base = Pose2::IDENTITY;
     simulate::<Infallible>(&settings, &Scene::built_in(BuiltIn::Corridor).unwrap(), |_, message| {
         match message {
@@ -35,12 +35,12 @@ fn drive(seconds: f64) -> Vec<(Sighting, Scan, Pose2)> {
             SimulatedMessage::Odometry(message) => app.on_odometry(&message).unwrap(),
             SimulatedMessage::Scan(scan) => {
                 let estimate = app.on_scan(&scan, std::time::Duration::ZERO);
-                let (sighting, measured) = app.sighting(&Sensed::Scan(scan), &estimate).unwrap();
-                let pose = sighting.odom_from_base;
+                let (posed_scan, measured) = app.posed_scan(&SensorMessage::Scan(scan), &estimate).unwrap();
+                let pose = posed_scan.odom_from_base;
                 if let Some(before) = before.replace(pose) {
                     odom_from_base = odom_from_base * before.between(&pose) * ERROR;
                 }
-                seen.push((Sighting { odom_from_base, ..sighting }, measured, pose));
+                seen.push((PosedScan { odom_from_base, ..posed_scan }, measured, pose));
             }
             SimulatedMessage::Truth { .. } => {}
         }
@@ -50,11 +50,11 @@ fn drive(seconds: f64) -> Vec<(Sighting, Scan, Pose2)> {
     seen
 }
 
-fn live(seen: &[(Sighting, Scan, Pose2)]) -> LiveMap {
+fn live(seen: &[(PosedScan, Scan, Pose2)]) -> LiveMap {
     let config = Config::default();
     let mut map = LiveMap::new(&config.matching, &config.rejection, 0.05);
-    for (sighting, measured, _) in seen {
-        map.add(sighting.clone(), measured);
+    for (posed_scan, measured, _) in seen {
+        map.add(posed_scan.clone(), measured);
         while map.work(16) {}
     }
     map
@@ -64,7 +64,7 @@ fn cells(grid: &EvidenceGrid) -> OccupancyGrid {
     grid.to_map().unwrap().unwrap()
 }
 
-/// Part of the occupied cells of one map that are beside an occupied cell of another.
+/// Fraction of the occupied cells of `a` that are next to an occupied cell of `b`.
 fn agreement(a: &OccupancyGrid, b: &OccupancyGrid) -> f64 {
     let (mut near, mut all) = (0, 0);
     for (i, _) in a.cells().iter().enumerate().filter(|(_, cell)| **cell == Cell::Occupied) {
@@ -78,7 +78,7 @@ fn agreement(a: &OccupancyGrid, b: &OccupancyGrid) -> f64 {
 }
 
 #[test]
-fn loops_put_the_map_right_while_the_odometry_drifts() {
+fn loop_closures_correct_the_map_while_the_odometry_drifts() {
     let seen = drive(60.0);
     let mut map = live(&seen);
     let (last, _, truth) = &seen[seen.len() - 1];
@@ -92,8 +92,8 @@ fn loops_put_the_map_right_while_the_odometry_drifts() {
     map.settle();
     let config = Config::default();
     let mut afterwards = Mapper::new(&config.matching, &config.rejection);
-    for (sighting, _, _) in seen {
-        afterwards.add(sighting);
+    for (posed_scan, _, _) in seen {
+        afterwards.add(posed_scan);
     }
     afterwards.finish();
     let (live, afterwards) = (cells(map.grid()), cells(&afterwards.grid(0.05)));
@@ -102,16 +102,16 @@ fn loops_put_the_map_right_while_the_odometry_drifts() {
 }
 
 #[test]
-fn of_a_place_only_so_much_is_kept_and_the_same_drive_makes_the_same_map() {
+fn data_per_place_is_limited_and_the_same_drive_makes_the_same_map() {
     let seen = drive(75.0);
     let (mut a, mut b) = (live(&seen), live(&seen));
     assert!(a.changed_grid().map(cells) == b.changed_grid().map(cells));
-    assert!(a.changed_grid().is_none(), "nothing has changed since");
+    assert!(a.changed_grid().is_none(), "nothing must have changed since");
     let keyframes = a.mapper().keyframes();
     let kept = keyframes.iter().filter(|keyframe| keyframe.view.is_some()).count();
     assert!(kept < keyframes.len() * 3 / 4, "{kept} of {}", keyframes.len());
     a.settle();
-    // What was let go is not missed when somebody goes on with the file.
+    // The dropped keyframes are not needed to extend the map from the file.
     let config = Config::default();
     let bytes = a.mapper().to_bytes();
     let mut read = Mapper::from_bytes(&bytes, &config.matching, &config.rejection).unwrap();
@@ -121,13 +121,13 @@ fn of_a_place_only_so_much_is_kept_and_the_same_drive_makes_the_same_map() {
 }
 
 #[test]
-fn a_run_of_which_nobody_knows_where_it_began_is_drawn_once_it_is_found() {
+fn a_run_with_unknown_start_is_drawn_once_it_is_localized() {
     let mut seen = drive(75.0);
     let middle = seen.len() * 2 / 3;
-    seen[middle].0.passage = Passage::Start;
+    seen[middle].0.motion_status = MotionStatus::Start;
     let somewhere = Pose2::new(30.0, 12.0, 1.0) * seen[middle].0.odom_from_base.inverse();
-    for (sighting, _, _) in &mut seen[middle..] {
-        sighting.odom_from_base = somewhere * sighting.odom_from_base;
+    for (posed_scan, _, _) in &mut seen[middle..] {
+        posed_scan.odom_from_base = somewhere * posed_scan.odom_from_base;
     }
     let map = live(&seen);
     assert_eq!(map.mapper().unplaced_runs(), 0);
@@ -137,7 +137,7 @@ fn a_run_of_which_nobody_knows_where_it_began_is_drawn_once_it_is_found() {
 }
 
 #[test]
-fn files_are_all_there_or_as_they_were() {
+fn saving_writes_all_files_or_leaves_them_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     let map = OccupancyGrid::new(2, 0.05, Pose2::IDENTITY, vec![Cell::Free, Cell::Occupied, Cell::Unknown, Cell::Free]).unwrap();
     let paths = MapPaths::new(&folder.path().join("hall"));
@@ -154,7 +154,7 @@ fn files_are_all_there_or_as_they_were() {
     let before = fs::read(&paths.image).unwrap();
     drop(MapFiles::create(paths.clone()).unwrap());
     assert_eq!((fs::read(&paths.image).unwrap(), fs::read_dir(folder.path()).unwrap().count()), (before, 3));
-    // A disk that is full.
+    // A full disk.
     #[cfg(target_os = "linux")]
     {
         fs::remove_file(&paths.graph).unwrap();

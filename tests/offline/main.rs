@@ -1,4 +1,4 @@
-//! What needs no ROS graph and takes seconds; what takes longer is in `tests/soak`.
+//! Tests that need no ROS graph and take seconds; longer ones are in `tests/soak`.
 #![cfg(feature = "cli")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stderr, clippy::print_stdout)]
 #![allow(clippy::float_cmp, clippy::cast_possible_truncation, clippy::cast_sign_loss)]

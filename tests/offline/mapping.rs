@@ -1,4 +1,4 @@
-//! `anytime map` and `anytime evaluate --map`: simulated drives, a robot that sees itself, going on with a graph, bad input.
+//! `anytime map` and `anytime evaluate --map`: simulated drives, a laser that sees the robot, extending a map, bad input.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ fn failure(arguments: &[&str]) -> String {
     String::from_utf8(output.stderr).unwrap()
 }
 
-/// Drives in the corridor: a laser like a SICK's, rather slow for a car.
+/// Settings of drives in the corridor: a laser like a SICK's, and a slow car.
 fn settings(seed: u32, seconds: f64) -> Settings {
     let mut settings = Settings::default();
     (settings.drive.seed, settings.drive.duration) = (seed, Seconds(seconds));
@@ -43,7 +43,7 @@ fn settings(seed: u32, seconds: f64) -> Settings {
     settings
 }
 
-/// A drive in a folder of its own: the bag, the truth, and the parameter that has the map in the truth's frame.
+/// A drive in its own folder: the bag, the truth, and the parameter that puts the map into the frame of the truth.
 struct Drive {
     folder: tempfile::TempDir,
     bag: String,
@@ -67,7 +67,7 @@ impl Drive {
         self.folder.path().join(name).to_str().unwrap().into()
     }
 
-    /// Makes a map of its bag, or of others.
+    /// Builds a map from its bag, or from others.
     fn map(&self, bags: &[&str], name: &str, more: &[&str]) -> Value {
         let (out, tum) = (self.path(name), self.path(&format!("{name}.tum")));
         let mut arguments = vec!["map", "--out", &out, "--tum", &tum, "--set", &self.start, "--clock", "virtual", "--json"];
@@ -76,12 +76,12 @@ impl Drive {
         json(&arguments)
     }
 
-    /// A map of it against the corridor.
+    /// Compares a map with the corridor.
     fn compare(&self, name: &str) -> Value {
         json(&["evaluate", "--map", &self.path(&format!("{name}.yaml")), "--truth-map", CORRIDOR, "--json"])
     }
 
-    /// The same, where only walls count as missed that rays of the drive met.
+    /// The same, but only walls that rays of the drive hit count as missed.
     fn compare_met(&self, name: &str) -> Value {
         let map = self.path(&format!("{name}.yaml"));
         json(&["evaluate", "--map", &map, "--truth-map", CORRIDOR, "--drive", &self.bag, "--json"])
@@ -95,11 +95,11 @@ impl Drive {
 }
 
 fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+    value.as_f64().unwrap_or_else(|| panic!("{value} is not a number"))
 }
 
 #[test]
-fn a_drive_becomes_a_map_like_the_true_one_twice_the_same() {
+fn the_map_of_a_drive_is_accurate_and_repeatable() {
     let drive = Drive::new(1, 45.0);
     let summary = drive.map(&[&drive.bag], "a", &[]);
     assert!(number(&summary["loops"]) > 20.0 && number(&summary["distance_m"]) > 80.0, "{summary}");
@@ -111,7 +111,7 @@ fn a_drive_becomes_a_map_like_the_true_one_twice_the_same() {
     let met = drive.compare_met("a");
     assert!(number(&met["truth_to_occupied"]["over_10_cm"]) < 0.007, "{met}");
     assert_eq!(met["occupied_to_truth"], found["occupied_to_truth"]);
-    // The walls of this world are as thin as lines, in the middle of a cell: the half of it that is before them is free.
+    // The walls of this world are lines through the middle of a cell, so the half of the cell in front of them is free.
     assert!(number(&found["free_truly_free"]) > 0.97, "{found}");
     assert_eq!(drive.map(&[&drive.bag], "b", &[]), summary);
     for ending in ["pgm", "png", "graph", "tum"] {
@@ -124,7 +124,7 @@ fn a_drive_becomes_a_map_like_the_true_one_twice_the_same() {
     assert!(fs::read(drive.path("a.pgm")).unwrap().starts_with(b"P5\n# CREATOR: map_saver.cpp 0.050 m/pix\n"));
 }
 
-/// The drive's messages from one second to another, with scans as `change` makes them.
+/// Writes the drive's messages between two times, s, with scans modified by `change`.
 fn part(drive: &Drive, name: &str, seed: u32, (from, to): (f64, f64), change: impl Fn(&mut LaserScan)) -> String {
     let path = drive.folder.path().join(name);
     let mut writer = BagWriter::create_whole(&path, Compression::None).unwrap();
@@ -152,7 +152,7 @@ fn part(drive: &Drive, name: &str, seed: u32, (from, to): (f64, f64), change: im
 }
 
 #[test]
-fn what_the_laser_sees_of_the_robot_is_no_wall() {
+fn rays_that_hit_the_robot_are_not_walls() {
     let drive = Drive::new(2, 1.0);
     let corner = |scan: &mut LaserScan| {
         for (i, range) in scan.ranges.iter_mut().enumerate().skip(240).take(20) {
@@ -169,14 +169,14 @@ fn what_the_laser_sees_of_the_robot_is_no_wall() {
     let unmasked = drive.map(&[&bag], "unmasked", &["--mask-self", "off"]);
     assert_eq!(unmasked["self_hits"], Value::Array(vec![]));
     let image = |name: &str| fs::read(drive.path(&format!("{name}.pgm"))).unwrap();
-    assert!(image("unmasked") != image("masked"), "else this tests nothing");
+    assert!(image("unmasked") != image("masked"), "otherwise this tests nothing");
     let by_hand = format!("scan.masked_sectors={}", summary["self_hits"]);
     drive.map(&[&bag], "by_hand", &["--mask-self", "off", "--set", &by_hand]);
     assert!(image("by_hand") == image("masked"));
 }
 
 #[test]
-fn a_map_goes_on_wherever_the_robot_starts() {
+fn a_map_can_be_extended_from_any_start() {
     let drive = Drive::new(3, 30.0);
     let summary = drive.map(&[&drive.bag], "first", &[]);
     let more = part(&drive, "more.bag", 3, (9.0, 30.0), |_| {});
@@ -189,7 +189,7 @@ fn a_map_goes_on_wherever_the_robot_starts() {
     );
     let found = drive.compare("both");
     assert!(number(&found["occupied_to_truth"]["over_10_cm"]) < 0.001, "{found}");
-    // The new poses are in the old map's frame.
+    // The new poses are in the frame of the old map.
     let truth = tum::read(Path::new(&drive.path("truth.tum"))).unwrap();
     let path = tum::read(Path::new(&drive.path("both.tum"))).unwrap();
     let off = |pose: &anytime_scan_matcher::evaluation::trajectory::StampedPose| {
@@ -197,13 +197,13 @@ fn a_map_goes_on_wherever_the_robot_starts() {
     };
     let worst = path.poses().iter().map(off).fold(0.0, f64::max);
     assert!(worst < 0.1, "{worst}");
-    // Two bags in one go are the same to it.
+    // Two bags in one run give the same result.
     let together = drive.map(&[&drive.bag, &more], "together", &[]);
     assert_eq!((&together["problems"], &together["keyframes"]), (&both["problems"], &both["keyframes"]));
 }
 
 #[test]
-fn graphs_that_are_none_are_told_and_nothing_is_lost() {
+fn invalid_graph_files_are_reported_and_nothing_is_lost() {
     let drive = Drive::new(4, 3.0);
     drive.map(&[&drive.bag], "old", &[]);
     let whole = fs::read(drive.path("old.graph")).unwrap();
@@ -222,7 +222,7 @@ fn graphs_that_are_none_are_told_and_nothing_is_lost() {
     assert!(problem(&whole[..10]).contains("cut off"));
     assert!(problem(&changed(8, 77)).contains("version 77"));
     assert!(problem(&changed(whole.len() - 40, whole[whole.len() - 40] ^ 1)).contains("damaged"));
-    assert!(problem(b"#ROSBAG V2.0\n").contains("no graph file"));
+    assert!(problem(b"#ROSBAG V2.0\n").contains("not a graph file"));
     assert!(failure(&["map", &drive.bag, "--out", &drive.path("x"), "--extend", "no/such.graph"]).contains("no/such.graph"));
     assert!(fs::read(drive.path("old.pgm")).unwrap() == before && !PathBuf::from(drive.path("x.pgm")).exists());
     let parts = fs::read_dir(drive.folder.path())
@@ -232,7 +232,7 @@ fn graphs_that_are_none_are_told_and_nothing_is_lost() {
 }
 
 #[test]
-fn bags_without_anything_to_draw_are_told() {
+fn bags_without_usable_scans_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let bag = path("no_scans.bag");
@@ -248,7 +248,7 @@ fn bags_without_anything_to_draw_are_told() {
     writer.finish().unwrap();
     assert!(failure(&["map", &bag, "--out", &path("a")]).contains("no scan on /scan could be used"));
     assert!(failure(&["map", &bag, "--out", &path("no/such/folder/a")]).contains("cannot create"));
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "nothing but the bags is left");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "only the bags must be left");
 }
 
 #[test]

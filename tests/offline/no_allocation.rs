@@ -2,7 +2,7 @@
 
 use crate::common::Laser;
 use anytime_scan_matcher::geometry::Pose2;
-use anytime_scan_matcher::matching::classic::correspondence::Correspondence;
+use anytime_scan_matcher::matching::classic::correspondence::CorrespondenceKind;
 use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::solver::SolverKind;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs, PlacedView};
@@ -15,7 +15,7 @@ fn a_warm_match_allocates_nothing() {
     let laser = Laser::with_field_of_view(270.0, 541);
     let pose = |i: f64| Pose2::new(0.05 * i, 0.02 * i, 0.03 * i);
     let scans: Vec<_> = (0..6).map(|i| laser.scan(pose(f64::from(i)), 0.01, 0.02, &mut rng)).collect();
-    for &correspondence in Correspondence::ALL {
+    for &correspondence in CorrespondenceKind::ALL {
         for &solver in SolverKind::ALL {
             let knobs = MatchingKnobs { correspondence, solver, ..MatchingKnobs::default() };
             let mut matcher = Matcher::new(&knobs, &RejectionKnobs::default());
@@ -32,8 +32,8 @@ fn a_warm_match_allocates_nothing() {
                 }
             };
             run(&mut matcher, true);
-            // kiddo's tree is made anew for every reference.
-            let with_reference = correspondence != Correspondence::KdTree;
+            // kiddo's tree is rebuilt for every reference.
+            let with_reference = correspondence != CorrespondenceKind::KdTree;
             let allocations = allocation_counter::measure(|| run(&mut matcher, with_reference));
             assert_eq!(allocations.count_total, 0, "{} {}", correspondence.name(), solver.name());
         }

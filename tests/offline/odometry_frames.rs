@@ -1,11 +1,11 @@
-//! Odometry of a frame that is not the base's: a tracking camera, `base_footprint`.
+//! Odometry of a frame other than the base: a tracking camera, `base_footprint`.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
 use anytime_scan_matcher::app::localizer::Localizer;
-use anytime_scan_matcher::app::{Answering as _, App, InputError};
+use anytime_scan_matcher::app::{App, InputError, ScanProcessor as _};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::messages::geometry_msgs::{Transform, TransformStamped};
@@ -16,7 +16,7 @@ use anytime_scan_matcher::time::Stamp;
 
 use crate::common::{Laser, corridor};
 
-/// Where the camera is on the base: ahead, and looking to the left.
+/// The pose of the camera on the base: ahead, facing left.
 const BASE_FROM_CAMERA: Pose2 = Pose2 { x: 0.5, y: 0.1, theta: 1.2 };
 
 fn transform(parent: &str, child: &str, place: Pose2) -> TFMessage {
@@ -24,7 +24,7 @@ fn transform(parent: &str, child: &str, place: Pose2) -> TFMessage {
     TFMessage { transforms: vec![TransformStamped { header, child_frame_id: child.into(), transform: Transform::from(place) }] }
 }
 
-/// The camera's odometry begins where the camera is; the base turns, and the camera goes round.
+/// The camera's odometry starts at the camera; when the base turns, the camera moves on a circle.
 fn odometry(seconds: f64, odom_from_base: Pose2, child: &str) -> Odometry {
     let header = Header { stamp: Stamp::from_seconds(seconds).into(), frame_id: "camera_odom".into(), ..Header::default() };
     let mut message = Odometry { header, child_frame_id: child.into(), ..Odometry::default() };
@@ -32,7 +32,7 @@ fn odometry(seconds: f64, odom_from_base: Pose2, child: &str) -> Odometry {
     message
 }
 
-fn way(seconds: f64) -> Pose2 {
+fn true_pose(seconds: f64) -> Pose2 {
     Pose2::new(0.3 * seconds, 0.0, 2.0 * seconds)
 }
 
@@ -49,28 +49,28 @@ fn a_cameras_odometry_predicts_the_base() {
         let laser = Laser::with_field_of_view(270.0, 361);
         for i in 0..10 {
             let seconds = f64::from(i) * 0.1;
-            app.on_odometry(&odometry(seconds, way(seconds), child)).unwrap();
-            let estimate = app.on_scan(&laser.message(Stamp::from_seconds(seconds), way(seconds)), Duration::ZERO);
-            let error = way(seconds).between(&estimate.registration.odom_from_base);
+            app.on_odometry(&odometry(seconds, true_pose(seconds), child)).unwrap();
+            let estimate = app.on_scan(&laser.message(Stamp::from_seconds(seconds), true_pose(seconds)), Duration::ZERO);
+            let error = true_pose(seconds).between(&estimate.registration.odom_from_base);
             assert!(error.distance() < 0.01 && error.theta.abs() < 0.01, "{seconds}: {error:?}");
         }
         let counters = app.odometry_counters();
-        assert_eq!((counters.odometry_disbelieved, counters.predicted), (0, 0), "it is right to a hair");
+        assert_eq!((counters.odometry_rejected, counters.predicted), (0, 0), "the odometry is exact");
     }
 }
 
 #[test]
-fn odometry_of_a_frame_that_nobody_knows_is_said_to_be_unusable() {
+fn odometry_of_an_unknown_frame_is_reported_as_unusable() {
     let mut app = App::new(&Config::default(), clock()).unwrap();
     let mut localizer = Localizer::new(corridor(), &Config::default(), clock()).unwrap();
     let unusable = InputError::OdometryOfAnotherFrame { child: "camera".into(), base: "base_link".into() };
     for moving in [None, Some(("camera_odom", "camera")), Some(("odom", "base_link")), Some(("odom", "camera_odom"))] {
         if let Some((parent, child)) = moving {
-            // By now they are connected, but only through frames in which they move.
+            // Now they are connected, but only through frames in which they move.
             app.on_transforms(&transform(parent, child, Pose2::IDENTITY)).unwrap();
             localizer.on_transforms(&transform(parent, child, Pose2::IDENTITY)).unwrap();
         }
-        let message = odometry(0.0, way(0.0), "camera");
+        let message = odometry(0.0, true_pose(0.0), "camera");
         assert_eq!(app.on_odometry(&message), Err(unusable.clone()));
         assert_eq!(localizer.on_odometry(&message), Err(unusable.clone()));
     }
@@ -79,7 +79,7 @@ fn odometry_of_a_frame_that_nobody_knows_is_said_to_be_unusable() {
 }
 
 #[test]
-fn the_particle_filter_turns_it_into_the_bases_too() {
+fn the_particle_filter_transforms_it_to_the_base_too() {
     let mut localizer = Localizer::new(corridor(), &Config::default(), clock()).unwrap();
     localizer.on_transforms(&transform("base_footprint", "base_link", Pose2::new(0.1, 0.0, 0.0))).unwrap();
     let mut message = odometry(1.0, Pose2::IDENTITY, "base_footprint");

@@ -1,5 +1,5 @@
-//! The layout for `PlotJuggler` draws what messages have: every curve is a number of a message that is published on its topic, or is
-//! computed from such numbers.
+//! Checks the layout for `PlotJuggler` against the messages: every curve is a numeric field of a message that is published on its topic, or is
+//! computed from such fields.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ use anytime_scan_matcher::messages::own::MatchReport;
 use anytime_scan_matcher::messages::std_msgs::Int32;
 use anytime_scan_matcher::messages::{Definition, Message};
 
-/// Types that `PlotJuggler` makes a number of.
+/// Types that `PlotJuggler` plots as numbers.
 const NUMBERS: [&str; 13] =
     ["bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64", "time", "duration"];
 
@@ -32,20 +32,20 @@ fn layout() -> String {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("launch/plotjuggler.xml")).unwrap()
 }
 
-/// What `PlotJuggler` computes of every quaternion.
+/// Values that `PlotJuggler` computes from every quaternion.
 const ANGLES: [&str; 3] = ["roll_deg", "pitch_deg", "yaw_deg"];
 
-/// The attribute of every element that has it.
+/// The values of an attribute, of all elements that have it.
 fn attributes<'a>(layout: &'a str, attribute: &str) -> Vec<&'a str> {
     layout.split(&format!(" {attribute}=\"")).skip(1).map(|rest| rest.split('"').next().unwrap()).collect()
 }
 
-/// The texts of all elements of this kind.
+/// The texts of all elements with this tag.
 fn texts<'a>(layout: &'a str, element: &str) -> Vec<&'a str> {
     layout.split(&format!("<{element}>")).skip(1).map(|rest| rest.split('<').next().unwrap()).collect()
 }
 
-/// The `name` of every element of this kind.
+/// The `name` of every element with this tag.
 fn names<'a>(layout: &'a str, element: &str) -> Vec<&'a str> {
     let opening = format!("<{element} name=\"");
     layout.split(&opening).skip(1).map(|rest| rest.split('"').next().unwrap()).collect()
@@ -61,7 +61,7 @@ fn field_type(definitions: Definitions, name: &str, field: &str) -> Option<Strin
     pairs.find(|(_, name)| *name == field).map(|(kind, _)| kind.to_owned())
 }
 
-/// Whether a message has a number at the end of this path of fields.
+/// Whether this path of fields leads to a number in a message.
 fn is_number(definitions: Definitions, path: &str) -> bool {
     let start = definitions[0].0.to_owned();
     let end = path.split('/').try_fold(start, |name, field| field_type(definitions, &name, field));
@@ -70,13 +70,13 @@ fn is_number(definitions: Definitions, path: &str) -> bool {
 
 fn is_drawn(curve: &str) -> bool {
     let of_topic = |(topic, definition): &Topic| {
-        curve.strip_prefix(topic).and_then(|rest| rest.strip_prefix('/')).is_some_and(|path| is_number(&definition().parts, path))
+        curve.strip_prefix(topic).and_then(|rest| rest.strip_prefix('/')).is_some_and(|path| is_number(&definition().types, path))
     };
     TOPICS.iter().any(of_topic)
 }
 
 #[test]
-fn every_curve_is_a_number_of_a_message() {
+fn every_curve_is_a_numeric_field_of_a_message() {
     let layout = layout();
     let curves = names(&layout, "curve");
     assert!(curves.len() > 10, "{curves:?}");
@@ -92,7 +92,7 @@ fn every_curve_is_a_number_of_a_message() {
 }
 
 #[test]
-fn planes_and_computed_curves_are_of_numbers_of_messages() {
+fn planes_and_computed_curves_use_numeric_fields_of_messages() {
     let layout = layout();
     let sources = ["linked_source", "v1", "v2", "v3"].map(|element| texts(&layout, element)).concat();
     let axes = ["curve_x", "curve_y"].map(|attribute| attributes(&layout, attribute)).concat();
@@ -102,7 +102,7 @@ fn planes_and_computed_curves_are_of_numbers_of_messages() {
 }
 
 #[test]
-fn truth_is_drawn_beside_the_match_and_cost_beside_its_limit() {
+fn truth_is_plotted_with_the_match_and_cost_with_its_limit() {
     let layout = layout();
     let plot =
         |name: &str| layout.split(&format!("<DockArea name=\"{name}\">")).nth(1).unwrap().split("</DockArea>").next().unwrap();
@@ -119,13 +119,13 @@ fn truth_is_drawn_beside_the_match_and_cost_beside_its_limit() {
     assert_eq!(attributes(plot("residual by iterations"), "curve_x"), ["/icp_report/iterations"]);
 }
 
-/// Since `PlotJuggler` 2.1 the topics are one text, not elements of their own.
+/// Since `PlotJuggler` 2.1 the topics are one text, not separate elements.
 #[test]
-fn every_topic_that_is_drawn_is_selected() {
+fn every_plotted_topic_is_selected() {
     let layout = layout();
     let selected: Vec<&str> =
         layout.split("<selected_topics value=\"").skip(1).map(|rest| rest.split('"').next().unwrap()).collect();
-    assert_eq!(selected.len(), 2, "of a bag, and live");
+    assert_eq!(selected.len(), 2, "one list for bags, and one for live topics");
     for topics in selected {
         let mut topics: Vec<&str> = topics.split(';').collect();
         let mut known = TOPICS.map(|(topic, _)| topic);

@@ -1,4 +1,4 @@
-//! `anytime profile` on a short simulated drive: its files, that reruns are equal, that its figures are those of `evaluate`, and mistakes.
+//! `anytime profile` on a short simulated drive: its files, equal reruns, agreement of its figures with `evaluate`, and wrong usage.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ fn failure(arguments: &[&str], code: i32) -> String {
     String::from_utf8(output.stderr).unwrap()
 }
 
-/// A bag of 40 scans of 180 beams in motion, and its truth.
+/// A bag of 40 scans of 180 beams from a moving robot, and its truth.
 fn drive(folder: &Path) -> (String, String) {
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     let (bag, truth) = (path("drive.bag"), path("drive.tum"));
@@ -44,7 +44,7 @@ fn table(path: &Path) -> Vec<Vec<String>> {
     text.lines().map(|line| line.split(',').map(str::to_owned).collect()).collect()
 }
 
-/// A table without the columns that the machine's clock decides.
+/// A table without the columns that depend on the wall clock.
 fn without_delays(path: &Path) -> Vec<Vec<String>> {
     let mut table = table(path);
     let is_delay: Vec<bool> = table[0].iter().map(|name| name.contains("delay")).collect();
@@ -66,7 +66,7 @@ const PICTURES: [&str; 6] =
     ["trajectories", "poses", "pose_errors", "delay_by_iterations", "residual_by_iteration", "search_time"];
 
 #[test]
-fn reruns_differ_in_delays_only_and_all_files_are_there() {
+fn reruns_differ_only_in_delays_and_all_files_are_written() {
     let folder = tempfile::tempdir().unwrap();
     let (bag, truth) = drive(folder.path());
     let out = |name: &str| folder.path().join(name);
@@ -92,7 +92,7 @@ fn reruns_differ_in_delays_only_and_all_files_are_there() {
 }
 
 #[test]
-fn on_the_virtual_clock_everything_is_equal_to_the_byte() {
+fn on_the_virtual_clock_reruns_are_byte_equal() {
     let folder = tempfile::tempdir().unwrap();
     let (bag, truth) = drive(folder.path());
     let files = |name: &str| {
@@ -107,7 +107,7 @@ fn on_the_virtual_clock_everything_is_equal_to_the_byte() {
     let (first, second) = (files("a"), files("b"));
     assert!(first == second);
     let iterations = column(&first.1, "mean_iterations");
-    assert!(iterations[0] < iterations[2], "the budget did cut matches short: {iterations:?}");
+    assert!(iterations[0] < iterations[2], "the budget must have cut matches short: {iterations:?}");
 }
 
 #[test]
@@ -139,7 +139,7 @@ fn the_errors_are_those_of_evaluate() {
 }
 
 #[test]
-fn a_drive_is_simulated_and_its_profile_tells_what_to_expect() {
+fn a_drive_is_simulated_and_its_profile_gives_the_expected_errors() {
     let folder = tempfile::tempdir().unwrap();
     let out: PathBuf = folder.path().join("study");
     let simulation = ["--world", "room", "--duration", "3s", "--rate", "20", "--beams", "90", "--seed", "5"];
@@ -158,22 +158,29 @@ fn a_drive_is_simulated_and_its_profile_tells_what_to_expect() {
         .collect();
     assert!(means.windows(2).all(|pair| pair[1] <= pair[0]) && means.iter().all(|mean| *mean > 0.0), "{means:?}");
     assert!(profile.variant("jump_table+point_to_lime").unwrap_err().to_string().contains("did you mean"));
-    assert_eq!(Profile::from_yaml(&profile.to_yaml().unwrap()).unwrap(), profile, "it reads as it was written");
+    assert_eq!(
+        Profile::from_yaml(&profile.to_yaml().unwrap()).unwrap(),
+        profile,
+        "a written profile must be read back unchanged"
+    );
     let [least, greatest] = variant.conditions.rays.unwrap();
     assert!(80.0 < least && greatest <= 90.0 && variant.conditions.agreement.unwrap()[0] > 0.5, "{:?}", variant.conditions);
     assert!(
         Profile::from_yaml(&profile.to_yaml().unwrap().replace("conditions", "circumstances")).is_ok(),
         "of earlier programs"
     );
-    // Of its own drive it is a profile, of one by another laser elsewhere it is none.
+    // The profile fits its own drive, but not one with another laser elsewhere.
     let file = format!("contract.profile={}", out.join("profile.yaml").display());
     let replayed = |bag: &str| {
         let jump_table = ["--set", "matching.correspondence=jump_table", "--set", &file, "--time-budget", "5ms"];
         success(&[&["replay", bag], &jump_table[..]].concat())
     };
-    assert!(!replayed(out.join("drive.bag").to_str().unwrap()).contains("another kind"));
+    assert!(!replayed(out.join("drive.bag").to_str().unwrap()).contains("differ from those of contract.profile"));
     let elsewhere = replayed("bags/demo.bag");
-    assert!(elsewhere.contains("scans are of another kind") && elsewhere.contains("in the profile"), "{elsewhere}");
+    assert!(
+        elsewhere.contains("scans differ from those of contract.profile") && elsewhere.contains("in the profile"),
+        "{elsewhere}"
+    );
 }
 
 /// A room, 12 m x 9 m with a block in it, as a map of `map_server`.
@@ -188,7 +195,7 @@ fn map_of_a_room(folder: &Path) -> String {
 }
 
 #[test]
-fn the_particle_filter_stands_beside_the_scan_matcher() {
+fn the_particle_filter_is_profiled_beside_the_scan_matcher() {
     let folder = tempfile::tempdir().unwrap();
     let (map, out) = (map_of_a_room(folder.path()), folder.path().join("out"));
     let drive = ["--world", &map, "--duration", "4s", "--rate", "20", "--beams", "180"];
@@ -203,8 +210,8 @@ fn the_particle_filter_stands_beside_the_scan_matcher() {
     let (particles, period) = (errors("particles"), errors("update_period"));
     assert_eq!((particles.len(), period.len(), errors("max_iterations").len()), (8, 7, 7));
     assert!(particles[7] < 0.05 && particles[0] > particles[7], "{particles:?}");
-    assert!(period[0] < 0.05 && period[6] > period[0], "the longer between updates, the worse: {period:?}");
-    // Before the first call of the timer there is no belief to carry on: 26 scans of the seven periods.
+    assert!(period[0] < 0.05 && period[6] > period[0], "the error must grow with the update period: {period:?}");
+    // Before the first call of the timer there is no estimate to extrapolate: 26 scans of the seven periods.
     assert_eq!(table(&out.join("scans/particle_filter.csv")).len(), 1 + 15 * 80 - 26);
     let report = fs::read_to_string(out.join("report.html")).unwrap();
     for name in ["error_particles", "error_update_period", "delay_error_max_iterations", "delay_error_particles"] {
@@ -217,7 +224,7 @@ fn the_particle_filter_stands_beside_the_scan_matcher() {
 }
 
 #[test]
-fn the_look_up_table_is_told_and_held_against_contracts() {
+fn the_look_up_table_is_printed_and_compared_with_contracts() {
     let folder = tempfile::tempdir().unwrap();
     let (bag, truth) = drive(folder.path());
     let study = |out: &str, more: &[&str]| {
@@ -237,7 +244,7 @@ fn the_look_up_table_is_told_and_held_against_contracts() {
     let json: Value = serde_json::from_str(&text).unwrap();
     let table = &json["look_up_tables"][0];
     let number = |value: &Value, name: &str| value[name].as_f64().unwrap_or(f64::NAN);
-    // The virtual clock goes on by a tick for each reading: of an iteration, not of a ray.
+    // The virtual clock advances with each reading, which happens once an iteration, not once a ray.
     assert!(number(table, "b_us") > 4.0 && number(table, "c_us").abs() < 0.05 && number(table, "r_squared") > 0.9, "{table}");
     let comparisons = json["comparisons"].as_array().unwrap();
     assert_eq!((comparisons.len(), number(&json, "runs")), (3, 13.0), "7 cases, and two runs for each delta");
@@ -248,12 +255,12 @@ fn the_look_up_table_is_told_and_held_against_contracts() {
         let contract = &comparison["by_contract"];
         assert!(number(contract, "late") <= 0.05 && number(contract, "position_mean_m") > 0.0, "{comparison}");
     }
-    assert!(report.contains("contract: iterations") && report.contains("<td>80µs</td>"), "the report has it, too");
+    assert!(report.contains("contract: iterations") && report.contains("<td>80µs</td>"), "the report must contain it, too");
     failure(&["profile", &bag, "--truth", &truth, "--out", "/tmp", "--delta", "0"], 2);
 }
 
 #[test]
-fn mistakes_are_named_with_their_remedy() {
+fn mistakes_are_explained_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out").to_str().unwrap().to_owned();
     let profile = |more: &[&str], code| failure(&[&["profile", "--out", &out], more].concat(), code);

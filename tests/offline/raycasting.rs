@@ -1,4 +1,4 @@
-//! Every ray caster against the exact walk through the grid.
+//! Compares every ray caster with the exact walk through the grid.
 
 use crate::common::{shared, uniform};
 use anytime_scan_matcher::geometry::{Point, Pose2};
@@ -20,7 +20,7 @@ fn exact(grid: &OccupancyGrid, cell_pose: Pose2) -> f64 {
     range.map_or(f64::INFINITY, |range| range / grid.resolution())
 }
 
-/// How far a method's beams may lie from the ones asked for: to the side, cells, and in direction, rad.
+/// Tolerance of a method's beams: to the side, cells, and in direction, rad.
 fn tolerance(method: RayCasting) -> (f64, f64) {
     match method {
         RayCasting::Bresenham | RayCasting::RayMarching => (2e-3, 1e-5),
@@ -30,7 +30,7 @@ fn tolerance(method: RayCasting) -> (f64, f64) {
     }
 }
 
-/// Whether `length` is between those of the exact beams around the one asked for. Those are samples of all the beams around: in
+/// Whether `length` is between the lengths of the exact beams around the requested one. These are only samples of the neighbouring beams: in
 /// a cluttered map an inexact method can still find a gap between them.
 fn is_right(grid: &OccupancyGrid, pose: Pose2, length: f64, method: RayCasting) -> bool {
     let (aside, angle) = tolerance(method);
@@ -44,7 +44,7 @@ fn is_right(grid: &OccupancyGrid, pose: Pose2, length: f64, method: RayCasting) 
             around = (around.0.min(beam), around.1.max(beam));
         }
     }
-    // What is just out of reach for one is in reach for the other.
+    // A wall that is just out of range for one is within range for the other.
     let reached = |length: f64| length.min(MAX_RANGE - 1.0);
     reached(length) >= reached(around.0) - forth && reached(length) <= reached(around.1) + forth
 }
@@ -58,7 +58,7 @@ fn random_pose(grid: &OccupancyGrid, rng: &mut Pcg64) -> Pose2 {
     }
 }
 
-/// The share of right lengths, of beams all around from random free places.
+/// The fraction of correct lengths, of beams in all directions from random free cells.
 fn share_right(grid: &OccupancyGrid, method: RayCasting, caster: &dyn RayCaster, poses: usize, rng: &mut Pcg64) -> f64 {
     let angles = |i: usize| i as f64 * std::f64::consts::TAU / BEAMS as f64;
     let fan = Fan::new((0..BEAMS).map(angles));
@@ -79,7 +79,7 @@ fn share_right(grid: &OccupancyGrid, method: RayCasting, caster: &dyn RayCaster,
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
-    fn every_method_answers_as_the_exact_walk_does(width in 1_usize..60, height in 1_usize..60, share in 0.0..0.2, yaw in -3.0..3.0, seed in 0_u64..10_000) {
+    fn every_method_agrees_with_the_exact_walk(width in 1_usize..60, height in 1_usize..60, share in 0.0..0.2, yaw in -3.0..3.0, seed in 0_u64..10_000) {
         let mut rng = Pcg64::seed_from_u64(seed);
         let mut cell = |_| match rng.random::<f64>() {
             x if x < share => Cell::Occupied,
@@ -92,15 +92,15 @@ proptest! {
         for &method in RayCasting::ALL {
             let caster = method.caster(&grid, MAX_RANGE);
             let share = share_right(&grid, method, &*caster, 4, &mut rng);
-            // In clutter of single cells, a beam half a cell aside has many ends; the exact methods have no such excuse.
+            // In clutter of single cells a beam shifted by half a cell may end anywhere; the exact methods must be correct.
             let least = if tolerance(method).0 < 0.1 { 0.99 } else { 0.7 };
-            prop_assert!(share >= least, "{}: {share} of the lengths are right", method.name());
+            prop_assert!(share >= least, "{}: {share} of the lengths are correct", method.name());
         }
     }
 }
 
 #[test]
-fn every_method_answers_as_the_exact_walk_does_on_real_maps() {
+fn every_method_agrees_with_the_exact_walk_on_real_maps() {
     let mut rng = Pcg64::seed_from_u64(5);
     for name in ["levine", "columbia"] {
         let Some(path) = shared(&format!("data/maps/{name}.yaml")) else { return };
@@ -108,13 +108,13 @@ fn every_method_answers_as_the_exact_walk_does_on_real_maps() {
         for &method in RayCasting::ALL {
             let share = share_right(&grid, method, &*method.caster(&grid, MAX_RANGE), 10, &mut rng);
             let least = if method == RayCasting::Table { 0.98 } else { 0.99 };
-            assert!(share > least, "{name}, {}: {share} of the lengths are right", method.name());
+            assert!(share > least, "{name}, {}: {share} of the lengths are correct", method.name());
         }
     }
 }
 
 #[test]
-fn walls_around_the_viewpoint_and_places_outside_the_map() {
+fn viewpoints_in_walls_and_outside_the_map_are_handled() {
     let mut cells = vec![Cell::Free; 100];
     cells[55] = Cell::Occupied;
     let grid = OccupancyGrid::new(10, 0.05, Pose2::IDENTITY, cells).unwrap();

@@ -1,4 +1,4 @@
-//! Whole replays: the demo bag with its truth and golden trajectory, byte-equal reruns, the real logs, bags that are no good.
+//! Whole replays: the demo bag with its truth and golden trajectory, byte-equal reruns, the real logs, unusable bags.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -34,20 +34,20 @@ fn numbers(path: &Path) -> Vec<Vec<f64>> {
 }
 
 #[test]
-fn the_demo_is_matched_as_well_as_stated() {
+fn the_demo_is_matched_as_well_as_documented() {
     let summary = json(&["replay", "bags/demo.bag", "--truth", "bags/demo.tum", "--json"]);
     assert_eq!((summary["scans"].as_u64(), summary["failed"].as_u64()), (Some(400), Some(0)));
     // A fifth more than the 1.1 mm of docs/figures.md.
     assert!(summary["ate_rmse_m"].as_f64().unwrap() < 0.001_32, "{summary}");
     assert!(summary["rpe_1m_rmse_m"].as_f64().unwrap() < 0.001_32, "{summary}");
-    // The truth is on a topic too.
+    // The truth is also on a topic.
     let by_topic = json(&["replay", "bags/demo.bag", "--truth", "/gt_pose", "--json"]);
     let difference = summary["ate_rmse_m"].as_f64().unwrap() - by_topic["ate_rmse_m"].as_f64().unwrap();
     assert!(difference.abs() < 1e-6, "{difference}: the file has nine decimals");
     assert!(json(&["replay", "bags/demo.bag", "--json"])["ate_rmse_m"].is_null());
 }
 
-/// `UPDATE_GOLDEN=1 cargo test` renews the file.
+/// `UPDATE_GOLDEN=1 cargo test` updates the file.
 #[test]
 fn the_demo_trajectory_is_the_golden_one() {
     let folder = tempfile::tempdir().unwrap();
@@ -67,7 +67,7 @@ fn the_demo_trajectory_is_the_golden_one() {
 }
 
 #[test]
-fn a_second_run_is_equal_to_the_byte() {
+fn a_second_run_is_byte_equal() {
     let folder = tempfile::tempdir().unwrap();
     let run = |name: &str, more: &[&str]| {
         let path = |ending: &str| folder.path().join(format!("{name}.{ending}")).to_str().unwrap().to_owned();
@@ -80,8 +80,8 @@ fn a_second_run_is_equal_to_the_byte() {
     };
     let with_budget = ["--clock", "virtual", "--time-budget", "60us"];
     let (first, second) = (run("a", &with_budget), run("b", &with_budget));
-    assert!(first == second, "with a virtual clock everything is the same, time budget and all");
-    assert!(String::from_utf8(first.1[1].clone()).unwrap().contains("budget"), "the budget did cut refinements short");
+    assert!(first == second, "on a virtual clock everything is equal, even with a time budget");
+    assert!(String::from_utf8(first.1[1].clone()).unwrap().contains("budget"), "the budget must have cut refinements short");
     let (first, second) = (run("c", &[]), run("d", &[]));
     assert_eq!(first.1[0], second.1[0]);
     assert_eq!(first.1[2], second.1[2]);
@@ -102,7 +102,7 @@ fn every_variant_matches_the_demo() {
 }
 
 #[test]
-fn bags_that_are_no_good_are_named_with_the_remedy() {
+fn unusable_bags_are_reported_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     assert!(failure(&["replay", "no/such.bag"], 1).contains("no/such.bag"));
@@ -110,7 +110,7 @@ fn bags_that_are_no_good_are_named_with_the_remedy() {
     fs::write(&text, "this is no bag\n").unwrap();
     assert!(failure(&["replay", &text], 1).contains("text.bag"));
     let idle = anytime(&["replay", "bags/demo.bag", "--json", "--set", "matching.solver=point_to_point"]);
-    assert!(String::from_utf8(idle.stderr).unwrap().contains("point_to_point changes nothing"));
+    assert!(String::from_utf8(idle.stderr).unwrap().contains("point_to_point has no effect"));
     let no_topic = failure(&["replay", "bags/demo.bag", "--scan-topic", "/scam"], 1);
     assert!(no_topic.contains("/scam") && no_topic.contains("/scan"), "{no_topic}");
     let wrong_type = failure(&["replay", "bags/demo.bag", "--scan-topic", "/odom"], 1);
@@ -129,10 +129,10 @@ fn bags_that_are_no_good_are_named_with_the_remedy() {
     failure(&["replay", "bags/demo.bag", "--time-budget", "soon"], 2);
 }
 
-/// An IMU that says the robot turns, although it stands still: by one step of the classic kind the headings show who was heard, until
-/// the IMU is believed no more.
+/// An IMU that reports a rotation although the robot stands still: with a single classic iteration, the headings show whether the IMU was used,
+/// until it is rejected.
 #[test]
-fn the_bags_imu_predicts() {
+fn the_imu_of_a_bag_is_used_for_prediction() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("imu.bag");
     let at = |i: u32| Stamp::from_ros(1000, i * 50_000_000);
@@ -160,7 +160,7 @@ fn the_bags_imu_predicts() {
 }
 
 #[test]
-fn a_cut_off_bag_is_used_as_far_as_it_goes() {
+fn a_truncated_bag_is_used_up_to_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let cut: PathBuf = folder.path().join("cut.bag");
     let whole = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("bags/demo.bag")).unwrap();
@@ -168,5 +168,5 @@ fn a_cut_off_bag_is_used_as_far_as_it_goes() {
     let summary = json(&["replay", cut.to_str().unwrap(), "--json"]);
     let scans = summary["scans"].as_u64().unwrap();
     assert!((100..400).contains(&scans) && summary["failed"] == 0, "{summary}");
-    assert!(!summary["problems"].as_array().unwrap().is_empty(), "the loss is said: {summary}");
+    assert!(!summary["problems"].as_array().unwrap().is_empty(), "the loss must be reported: {summary}");
 }

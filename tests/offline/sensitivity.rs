@@ -1,7 +1,7 @@
-//! What every constant of the matching and the odometry is worth: docs/sensitivity.md.
+//! Measures the influence of every constant of the matching and the odometry: docs/sensitivity.md.
 //!
-//! `cargo test --test offline -- --ignored sensitivity` changes one constant after the other in a copy of the source, by thirty percent either
-//! way, builds the program and replays the logs beside the checkout with it.
+//! `cargo test --test offline -- --ignored sensitivity` changes one constant at a time in a copy of the source, by plus and minus thirty percent,
+//! builds the program and replays the logs beside the checkout with it.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -16,9 +16,9 @@ use crate::layers::rust_files;
 
 /// The folders whose constants are changed.
 const CORE: [&str; 2] = ["src/matching", "src/odometry"];
-/// By so much of its value, either way.
+/// Relative change of a constant, up and down.
 const CHANGE: f64 = 0.3;
-/// Constants that change an error by less than this part, on all logs, are told apart.
+/// Constants that change no error by more than this fraction are listed separately.
 const LITTLE: f64 = 0.02;
 
 /// A constant of the core.
@@ -28,12 +28,12 @@ struct Constant {
     name: String,
     value: String,
     is_whole: bool,
-    /// The first sentence of what is written above it.
+    /// The first sentence of its doc comment.
     meaning: String,
 }
 
 impl Constant {
-    /// The file's text with the constant multiplied by `factor`; `None` where that changes nothing.
+    /// The file's text with the constant multiplied by `factor`; `None` if that changes nothing.
     fn scaled(&self, text: &str, factor: f64) -> Option<String> {
         let value = if self.is_whole {
             let value: f64 = self.value.replace('_', "").parse().ok()?;
@@ -49,7 +49,7 @@ impl Constant {
     }
 }
 
-/// The numeric constants outside tests, and outside the scalar twin of the fast kernel.
+/// The numeric constants outside tests, and outside the scalar reference of the fast kernel.
 fn constants(root: &Path) -> Vec<Constant> {
     let mut files: Vec<PathBuf> = CORE.iter().flat_map(|folder| rust_files(&root.join(folder))).collect();
     files.retain(|file| !["tests.rs", "specification.rs"].iter().any(|name| file.ends_with(name)));
@@ -78,7 +78,7 @@ fn constants_of(file: &Path) -> Vec<Constant> {
     lines.iter().enumerate().filter_map(constant).collect()
 }
 
-/// A copy of what the program is built of.
+/// Copies the source of the program.
 fn copy(from: &Path, to: &Path) {
     fs::create_dir_all(to).unwrap();
     for entry in fs::read_dir(from).unwrap() {
@@ -92,7 +92,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// The program in this folder; `None` where it does not build.
+/// The program built in this folder; `None` if it does not build.
 fn build(folder: &Path) -> Option<PathBuf> {
     let target = folder.join("target");
     let build = ["build", "--quiet", "--no-default-features", "--features", "cli", "--bin", "anytime", "--target-dir"];
@@ -122,7 +122,7 @@ fn absolute(program: &Path, bag: &Path, truth: &Path, more: &[&str]) -> Option<f
 
 type Measure = Box<dyn Fn(&Path) -> Option<f64> + Sync>;
 
-/// What is measured, by name: errors in m.
+/// The measured errors, by name, m.
 fn measures(root: &Path) -> Vec<(&'static str, Measure)> {
     let levine = |more: &'static [&'static str]| -> Measure {
         let files = shared("data/racecar-levine/racecar-levine.bag").zip(shared("data/racecar-levine/truth.tum"));
@@ -146,7 +146,7 @@ fn errors(program: &Path, measures: &[(&str, Measure)]) -> Vec<Option<f64>> {
     })
 }
 
-/// The errors with the constant made smaller and greater; `None`: it cannot be.
+/// The errors with a smaller and a larger constant; `None` if it cannot be changed.
 type Changed = [Option<Vec<Option<f64>>>; 2];
 
 fn cells(changed: &Changed, log: usize) -> String {
@@ -157,15 +157,15 @@ fn cells(changed: &Changed, log: usize) -> String {
     format!("{}, {}", cell(&changed[0]), cell(&changed[1]))
 }
 
-/// The greatest relative change of an error.
-fn sway(changed: &Changed, usual: &[Option<f64>]) -> f64 {
+/// The largest relative change of an error.
+fn influence(changed: &Changed, baseline: &[Option<f64>]) -> f64 {
     let of = |errors: &Vec<Option<f64>>| {
-        let change = |(error, usual): (&Option<f64>, &Option<f64>)| match (error, usual) {
-            (Some(error), Some(usual)) => (error / usual - 1.0).abs(),
+        let change = |(error, baseline): (&Option<f64>, &Option<f64>)| match (error, baseline) {
+            (Some(error), Some(baseline)) => (error / baseline - 1.0).abs(),
             (None, Some(_)) => f64::INFINITY,
             _ => 0.0,
         };
-        errors.iter().zip(usual).map(change).fold(0.0, f64::max)
+        errors.iter().zip(baseline).map(change).fold(0.0, f64::max)
     };
     changed.iter().flatten().map(of).fold(0.0, f64::max)
 }
@@ -178,8 +178,8 @@ fn sensitivity_of_the_constants() {
     let folder = tempfile::tempdir().unwrap();
     let copied = folder.path().join("source");
     copy(root, &copied);
-    let usual = errors(&build(&copied).unwrap(), &measures);
-    assert!(usual.iter().all(Option::is_some), "the logs beside the checkout are needed: {usual:?}");
+    let baseline = errors(&build(&copied).unwrap(), &measures);
+    assert!(baseline.iter().all(Option::is_some), "the logs beside the checkout are needed: {baseline:?}");
     let mut rows = BTreeMap::new();
     for constant in constants(&copied) {
         let text = fs::read_to_string(&constant.file).unwrap();
@@ -188,18 +188,18 @@ fn sensitivity_of_the_constants() {
             build(&copied).map(|program| errors(&program, &measures))
         });
         fs::write(&constant.file, &text).unwrap();
-        let sway = sway(&changed, &usual);
+        let influence = influence(&changed, &baseline);
         let file = constant.file.strip_prefix(&copied).unwrap().display().to_string();
-        eprintln!("{file} {}: {:.1} %", constant.name, 100.0 * sway);
-        rows.insert((file, constant.line), (constant, changed, sway));
-        // What there is stays, should the run be ended.
-        fs::write(root.join("docs/sensitivity.md"), document(&measures, &usual, rows.values())).unwrap();
+        eprintln!("{file} {}: {:.1} %", constant.name, 100.0 * influence);
+        rows.insert((file, constant.line), (constant, changed, influence));
+        // Write after each constant, so that an interrupted run keeps its results.
+        fs::write(root.join("docs/sensitivity.md"), document(&measures, &baseline, rows.values())).unwrap();
     }
 }
 
 fn document<'a>(
     measures: &[(&str, Measure)],
-    usual: &[Option<f64>],
+    baseline: &[Option<f64>],
     rows: impl Iterator<Item = &'a (Constant, Changed, f64)>,
 ) -> String {
     let names: Vec<&str> = measures.iter().map(|(name, _)| *name).collect();
@@ -209,18 +209,18 @@ fn document<'a>(
          offline -- --ignored sensitivity`.\n\n| constant | value | most | {} |\n|{}\n| as it is | | | {} |\n",
         names.join(" | "),
         "---|".repeat(names.len() + 3),
-        usual.iter().map(|error| format!("{:.4}", error.unwrap_or(f64::NAN))).collect::<Vec<_>>().join(" | ")
+        baseline.iter().map(|error| format!("{:.4}", error.unwrap_or(f64::NAN))).collect::<Vec<_>>().join(" | ")
     );
     let (mut little, mut others) = (Vec::new(), Vec::new());
     for row in rows {
         if row.2 < LITTLE { little.push(row) } else { others.push(row) }
     }
     others.sort_by(|a, b| b.2.total_cmp(&a.2));
-    for (constant, changed, sway) in others {
+    for (constant, changed, influence) in others {
         let errors: Vec<String> = (0..names.len()).map(|log| cells(changed, log)).collect();
         let Constant { name, value, file, .. } = constant;
         let stem = file.file_stem().unwrap_or_default().display();
-        let _ = writeln!(text, "| `{stem}::{name}` | {value} | {:.0} % | {} |", 100.0 * sway, errors.join(" | "));
+        let _ = writeln!(text, "| `{stem}::{name}` | {value} | {:.0} % | {} |", 100.0 * influence, errors.join(" | "));
     }
     let _ = write!(
         text,

@@ -1,4 +1,4 @@
-//! The shell: files that must not be destroyed, losses that must be said, arguments that make no sense.
+//! Command line behaviour: files that must not be destroyed, losses that must be reported, invalid arguments.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use crate::common::Laser;
 
-/// A folder to work in, with the demo bag and its truth.
+/// A working folder with the demo bag and its truth.
 struct Desk(tempfile::TempDir);
 
 impl Desk {
@@ -40,12 +40,12 @@ impl Desk {
         fs::read_dir(self.0.path()).unwrap().count()
     }
 
-    /// Runs a line of words.
+    /// Runs a command line, split at spaces.
     fn run(&self, line: &str) -> Output {
         Command::new(env!("CARGO_BIN_EXE_anytime")).args(line.split(' ')).current_dir(self.0.path()).output().unwrap()
     }
 
-    /// The error text of a run that must end with this code.
+    /// The error text of a run that must fail with this exit code.
     fn failure(&self, line: &str, code: i32) -> String {
         let output = self.run(line);
         let error = String::from_utf8(output.stderr).unwrap();
@@ -54,7 +54,7 @@ impl Desk {
     }
 }
 
-/// Scans of a room at 20 Hz, each after a change.
+/// Writes scans of a room at 20 Hz, each modified by `change`.
 fn write_scans(path: &Path, change: impl Fn(&mut LaserScan)) {
     let mut writer = BagWriter::create(path, Compression::None).unwrap();
     for i in 0..12 {
@@ -82,8 +82,8 @@ fn no_output_destroys_an_input_or_another_output() {
         desk.failure("replay demo.bag --truth demo.tum --tum hard.tum", 2);
     }
     let count = desk.names();
-    let said = desk.failure("replay demo.bag --tum ./demo.bag", 2);
-    assert!(said.contains("--tum and the bag are the same file") && said.contains("./demo.bag"), "{said}");
+    let reported = desk.failure("replay demo.bag --tum ./demo.bag", 2);
+    assert!(reported.contains("--tum and the bag are the same file") && reported.contains("./demo.bag"), "{reported}");
     for line in [
         "replay demo.bag --tum out --csv sub/../out",
         "replay demo.bag --tum out.svg --plot out.svg",
@@ -100,15 +100,15 @@ fn no_output_destroys_an_input_or_another_output() {
         "simulate --world room --out x.bag --truth x.bag",
         "profile demo.bag --truth ./profile.yaml --out .",
     ] {
-        // A name of a picture is asked for first.
-        let said = desk.failure(line, 2);
-        assert!(said.contains("are the same file") || said.contains("only SVG"), "{line}: {said}");
+        // The extension of a plot is checked first.
+        let reported = desk.failure(line, 2);
+        assert!(reported.contains("are the same file") || reported.contains("only SVG"), "{line}: {reported}");
     }
     assert!(desk.read("demo.bag") == bag && desk.read("demo.tum") == truth && desk.names() == count);
 }
 
 #[test]
-fn a_run_that_fails_leaves_older_files_as_they_were() {
+fn a_failed_run_leaves_older_files_unchanged() {
     let desk = Desk::new();
     for name in ["old.tum", "old.csv", "old.bag", "old.svg"] {
         desk.write(name, "precious");
@@ -126,13 +126,13 @@ fn a_run_that_fails_leaves_older_files_as_they_were() {
     for name in ["old.tum", "old.csv", "old.svg", "old.bag"] {
         assert_eq!(desk.read(name), b"precious", "{name}");
     }
-    assert_eq!(desk.names(), count, "nothing is left lying about");
+    assert_eq!(desk.names(), count, "no files must be left behind");
     assert!(desk.run("replay sane.bag --tum old.tum --csv old.csv --plot old.svg").status.success());
     assert!(desk.read("old.tum") != b"precious" && desk.read("old.csv") != b"precious" && desk.names() == count);
 }
 
 #[test]
-fn a_killed_run_leaves_older_files_as_they_were() {
+fn a_killed_run_leaves_older_files_unchanged() {
     let desk = Desk::new();
     desk.write("old.bag", "precious");
     let count = desk.names();
@@ -145,14 +145,14 @@ fn a_killed_run_leaves_older_files_as_they_were() {
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
     run.kill().unwrap();
-    assert!(!run.wait().unwrap().success(), "killed before its end");
+    assert!(!run.wait().unwrap().success(), "it must have been killed before its end");
     assert_eq!(desk.read("old.bag"), b"precious");
 }
 
-/// `/dev/full` is a disk without room: what is no regular file is written to directly.
+/// `/dev/full` acts as a full disk. Files that are not regular are written to directly.
 #[cfg(target_os = "linux")]
 #[test]
-fn a_full_disk_is_said() {
+fn a_full_disk_is_reported() {
     let desk = Desk::new();
     assert!(desk.failure("replay demo.bag --tum /dev/full", 1).contains("cannot write /dev/full"));
     assert!(desk.run("replay demo.bag --tum /dev/null --csv /dev/null").status.success());
@@ -161,16 +161,16 @@ fn a_full_disk_is_said() {
 }
 
 #[test]
-fn only_svg_is_drawn() {
+fn only_svg_plots_are_supported() {
     let desk = Desk::new();
     for line in ["replay demo.bag --plot x.png", "evaluate demo.tum --truth demo.tum --plot x.PDF"] {
-        let said = desk.failure(line, 2);
-        assert!(said.contains("only SVG is drawn"), "{said}");
+        let reported = desk.failure(line, 2);
+        assert!(reported.contains("only SVG plots are supported"), "{reported}");
     }
 }
 
 #[test]
-fn a_damaged_bag_is_said_by_whoever_reads_it() {
+fn every_command_reports_a_damaged_bag() {
     let desk = Desk::new();
     let bag = desk.read("demo.bag");
     fs::write(desk.path("cut.bag"), &bag[..bag.len() * 2 / 3]).unwrap();
@@ -181,50 +181,50 @@ fn a_damaged_bag_is_said_by_whoever_reads_it() {
     assert!(!json["bag_problems"].as_array().unwrap().is_empty(), "{json}");
     let json: Value = serde_json::from_slice(&desk.run("replay demo.bag --json").stdout).unwrap();
     assert!(json["bag_problems"].as_array().unwrap().is_empty(), "{json}");
-    let said = desk.failure("replay short.bag", 1);
-    assert!(said.contains("there is no topic /scan") && said.contains("the bag is damaged"), "{said}");
+    let reported = desk.failure("replay short.bag", 1);
+    assert!(reported.contains("there is no topic /scan") && reported.contains("the bag is damaged"), "{reported}");
 }
 
 #[test]
-fn scans_that_are_all_malformed_are_a_failure_with_its_reason() {
+fn only_malformed_scans_are_a_failure_with_its_reason() {
     let desk = Desk::new();
     write_scans(&desk.path("bad.bag"), |scan| scan.angle_increment = 0.0);
     let output = desk.run("replay bad.bag --json");
     assert_eq!(output.status.code(), Some(1));
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let said = json["problems"].to_string();
-    assert!(json["scans"] == 12 && said.contains("12 of 12 scans are malformed") && said.contains("increment"), "{json}");
-    let said = desk.failure("replay bad.bag", 1);
-    assert!(said.contains("bad.bag: 12 of 12 scans are malformed, the first: "), "{said}");
+    let reported = json["problems"].to_string();
+    assert!(json["scans"] == 12 && reported.contains("12 of 12 scans are malformed") && reported.contains("increment"), "{json}");
+    let reported = desk.failure("replay bad.bag", 1);
+    assert!(reported.contains("bad.bag: 12 of 12 scans are malformed; the first: "), "{reported}");
     let text = String::from_utf8(desk.run("replay bad.bag").stdout).unwrap();
-    assert!(text.contains("12 of 12 scans are malformed, the first: "), "{text}");
-    let said = desk.failure("map bad.bag --out m", 1);
-    assert!(said.contains("no scan on /scan could be used: 12 of 12 scans are malformed, the first: "), "{said}");
+    assert!(text.contains("12 of 12 scans are malformed; the first: "), "{text}");
+    let reported = desk.failure("map bad.bag --out m", 1);
+    assert!(reported.contains("no scan on /scan could be used: 12 of 12 scans are malformed; the first: "), "{reported}");
     assert!(!desk.path("m.pgm").exists());
 }
 
 #[test]
-fn what_is_no_log_is_told_what_it_is() {
+fn files_that_are_not_logs_are_identified() {
     let desk = Desk::new();
     fs::write(desk.path("x.mcap"), b"\x89MCAP0\r\n and so on").unwrap();
-    let said = desk.failure("convert x.mcap y.bag", 1);
-    assert!(said.contains("x.mcap is a ROS 2 bag, MCAP") && said.contains("rosbags-convert"), "{said}");
-    let said = desk.failure("convert demo.bag y.bag", 1);
-    assert!(said.contains("demo.bag is a bag already"), "{said}");
+    let reported = desk.failure("convert x.mcap y.bag", 1);
+    assert!(reported.contains("x.mcap is a ROS 2 bag, MCAP") && reported.contains("rosbags-convert"), "{reported}");
+    let reported = desk.failure("convert demo.bag y.bag", 1);
+    assert!(reported.contains("demo.bag is a bag already"), "{reported}");
 }
 
 #[test]
 fn relations_of_another_log_are_a_failure() {
     let desk = Desk::new();
     desk.write("x.relations", "1 2 1 0 0 0 0 0\n");
-    let said = desk.failure("evaluate demo.tum --relations x.relations", 1);
-    assert!(said.contains("no relation of x.relations"), "{said}");
+    let reported = desk.failure("evaluate demo.tum --relations x.relations", 1);
+    assert!(reported.contains("no relation of x.relations"), "{reported}");
 }
 
 #[test]
-fn wrong_usage_is_named_and_exits_with_two() {
+fn wrong_usage_is_explained_and_exits_with_two() {
     let desk = Desk::new();
-    for (line, said) in [
+    for (line, reported) in [
         ("replay demo.bag --set foo", "NAME=VALUE"),
         ("replay demo.bag --set max_iteration=3", "did you mean 'matching.max_iterations'?"),
         ("replay demo.bag --set matching.max_iterations=0", "1 to 1000, got 0"),
@@ -237,34 +237,34 @@ fn wrong_usage_is_named_and_exits_with_two() {
         ("localize demo.bag --map m.yaml --particles 1", "localization.particles"),
         ("simulate --world room --out x.bag --beams 0", "beams: expected"),
         ("simulate --world room --out x.bag --duration -5", "-5"),
-        ("map demo.bag --out m --resolution -1", "expected metres, 0.005 to 1"),
+        ("map demo.bag --out m --resolution -1", "expected 0.005 to 1 (metres)"),
         ("profile demo.bag --truth demo.tum --out p --rounds -1", "-1"),
         ("simulate --world rom --out x.bag", "--world: expected corridor | room, got \"rom\""),
     ] {
         let error = desk.failure(line, 2);
-        assert!(error.contains(said) && !error.contains("unexpected argument"), "{line}: {error}");
+        assert!(error.contains(reported) && !error.contains("unexpected argument"), "{line}: {error}");
     }
     let map = Path::new(env!("CARGO_MANIFEST_DIR")).join("maps/corridor.yaml");
     let off_the_map = desk.failure(&format!("localize demo.bag --map {} --initial-pose 1000,0,0", map.display()), 2);
     assert!(off_the_map.contains("--initial-pose: (1000.00, 0.00) is outside the map"), "{off_the_map}");
     let unknown = desk.failure("replay demo.bag --set matching.foo=1", 2);
-    assert!(unknown.contains("the nearest are:") && unknown.len() < 300, "{unknown}");
+    assert!(unknown.contains("the nearest names are:") && unknown.len() < 300, "{unknown}");
     let json = |line: &str| serde_json::from_slice::<Value>(&desk.run(line).stdout).unwrap();
     let budget = |text: &str| json(&format!("replay demo.bag --json --time-budget {text}"))["deadline"]["budget_us"].clone();
     assert_eq!((budget("0.005"), budget("5ms")), (5000.0.into(), 5000.0.into()));
 }
 
 #[test]
-fn faults_of_yaml_are_told_in_words_of_yaml() {
+fn yaml_errors_name_line_and_column() {
     let desk = Desk::new();
-    for (text, said) in [
-        ("matching:\n  max_iterations: 8\n  max_iterations: 9\n", "x.yaml: line 3, column 3: the key 'max_iterations'"),
-        ("contract:\n  time_budget: .nan\n", "x.yaml: line 2, column 16: .nan"),
+    for (text, reported) in [
+        ("matching:\n  max_iterations: 8\n  max_iterations: 9\n", "x.yaml: line 3, column 3: duplicate key 'max_iterations'"),
+        ("contract:\n  time_budget: .nan\n", "x.yaml: line 2, column 16: found .nan"),
         ("contract: [\n", "x.yaml: this is not YAML: line 1, column 11"),
     ] {
         desk.write("x.yaml", text);
         let error = desk.failure("replay demo.bag --config x.yaml", 2);
-        assert!(error.contains(said) && !error.contains("Policy"), "{error}");
+        assert!(error.contains(reported) && !error.contains("Policy"), "{error}");
     }
     assert!(desk.failure("replay demo.bag --config no.yaml", 1).contains("no.yaml"));
 }

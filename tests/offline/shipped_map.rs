@@ -1,4 +1,4 @@
-//! The map that ships with the package is one of the built-in corridor, and the demo is localized on it.
+//! The map that ships with the package shows the built-in corridor, and the demo is localized on it.
 
 use std::fs;
 use std::path::Path;
@@ -22,8 +22,8 @@ fn centre(cell: usize) -> Point {
     ORIGIN + Point::new((cell % WIDTH) as f64 + 0.5, (cell / WIDTH) as f64 + 0.5) * RESOLUTION
 }
 
-/// What a robot on the route would make of the walls: occupied where one goes through the cell, free where one can get to from
-/// `start` without crossing any, unknown elsewhere.
+/// The ideal map of the walls: a cell is occupied if a wall passes through it, free if it can be reached from `start` without crossing a
+/// wall, and otherwise unknown.
 fn draw(walls: &Shapes, start: Point) -> OccupancyGrid {
     let is_wall = |cell: usize| walls.clearance(centre(cell)) < 0.501 * RESOLUTION;
     let mut cells: Vec<Cell> =
@@ -50,13 +50,13 @@ fn image(map: &OccupancyGrid) -> GrayImage {
 
 #[test]
 fn the_shipped_map_is_of_the_built_in_corridor_and_small() {
-    let (walls, route) = BuiltIn::Corridor.draw();
+    let (walls, route) = BuiltIn::Corridor.build();
     let map = draw(&walls, route[0]);
     let file = Path::new(FOLDER).join("corridor.png");
     if std::env::var_os("UPDATE_GOLDEN").is_some() {
         image(&map).write_png(fs::File::create(&file).unwrap()).unwrap();
     }
-    assert!(map_file::read(&Path::new(FOLDER).join("corridor.yaml")).unwrap() == map, "UPDATE_GOLDEN=1 draws it again");
+    assert!(map_file::read(&Path::new(FOLDER).join("corridor.yaml")).unwrap() == map, "UPDATE_GOLDEN=1 redraws it");
     assert!(fs::metadata(file).unwrap().len() < 50_000);
 }
 

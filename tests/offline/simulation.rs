@@ -1,4 +1,4 @@
-//! The simulator against closed forms, against oracles and against itself.
+//! Compares the simulator with closed forms, with reference implementations and with itself.
 
 use std::convert::Infallible;
 use std::f64::consts::PI;
@@ -22,7 +22,7 @@ use anytime_scan_matcher::scan::{BeamGeometry, ScanConverter};
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{START, Settings, SimulatedMessage, simulate, truth_message};
 use anytime_scan_matcher::simulation::grid_world::GridWorld;
-use anytime_scan_matcher::simulation::information::{bound_of_pair, of_scan};
+use anytime_scan_matcher::simulation::information::{pair_covariance_bound, scan_information};
 use anytime_scan_matcher::simulation::lidar::{Lidar, LidarKnobs};
 use anytime_scan_matcher::simulation::motion::Motion;
 use anytime_scan_matcher::simulation::odometer::{Odometer, OdometerKnobs};
@@ -63,7 +63,7 @@ proptest! {
     }
 
     #[test]
-    fn a_circle_is_met_at_its_radius(distance in 0.0..10.0, angle in -PI..PI, radius in 0.1..5.0) {
+    fn a_circle_is_hit_at_its_radius(distance in 0.0..10.0, angle in -PI..PI, radius in 0.1..5.0) {
         let centre = Point::new(3.0, -2.0);
         let world = Shapes::default().pillar(centre, radius);
         let origin = centre - Point::new(distance, 0.0);
@@ -72,7 +72,7 @@ proptest! {
         prop_assert_eq!(hit.is_none(), misses);
         if let Some(range) = hit {
             prop_assert!(((origin + direction(angle) * range - centre).norm() - radius).abs() < 1e-9);
-            // Nothing of the circle is nearer on that ray.
+            // No point of the circle on that ray is nearer.
             let half_way = (origin + direction(angle) * (0.5 * range) - centre).norm();
             prop_assert_eq!(half_way < radius, distance < radius);
         }
@@ -107,7 +107,7 @@ proptest! {
     }
 
     #[test]
-    fn grid_clearance_is_safe_and_not_timid(cells in random_cells(), x in 0.0..12.0, y in 0.0..12.0) {
+    fn grid_clearance_is_safe_and_not_too_small(cells in random_cells(), x in 0.0..12.0, y in 0.0..12.0) {
         let grid = OccupancyGrid::new(WIDTH, RESOLUTION, Pose2::IDENTITY, cells.clone()).unwrap();
         let point = Point::new(x, y) * RESOLUTION;
         let clearance = GridWorld::new(grid).clearance(point);
@@ -118,7 +118,7 @@ proptest! {
     }
 
     #[test]
-    fn no_ray_hangs_however_odd(x in odd_numbers(), y in odd_numbers(), dx in odd_numbers(), dy in odd_numbers(), max in odd_numbers()) {
+    fn no_odd_ray_hangs(x in odd_numbers(), y in odd_numbers(), dx in odd_numbers(), dy in odd_numbers(), max in odd_numbers()) {
         let grid = OccupancyGrid::new(2, 0.1, Pose2::IDENTITY, vec![Cell::Free; 4]).unwrap();
         prop_assert_eq!(grid.range(Point::new(x, y), Point::new(dx, dy), max), None);
     }
@@ -142,7 +142,7 @@ fn occupied(cells: &[Cell]) -> impl Iterator<Item = Point> + '_ {
     cells.iter().enumerate().filter(|(_, cell)| **cell == Cell::Occupied).map(move |(i, _)| corner(i))
 }
 
-/// Where a ray enters a square: the interval in which it is between both pairs of sides.
+/// The distance at which a ray enters a square, from the interval in which it is between both pairs of sides.
 fn enters_square(start: Point, direction: Point, corner: Point) -> Option<f64> {
     let between = |position: f64, step: f64, low: f64| {
         let (a, b) = ((low - position) / step, (low + RESOLUTION - position) / step);
@@ -159,7 +159,7 @@ fn distance_to_square(point: Point, corner: Point) -> f64 {
 }
 
 #[test]
-fn light_passes_what_is_unknown_but_cars_do_not() {
+fn rays_pass_unknown_cells_but_cars_do_not() {
     let cells = vec![Cell::Free, Cell::Unknown, Cell::Occupied];
     let grid = OccupancyGrid::new(3, 1.0, Pose2::IDENTITY, cells).unwrap();
     assert_eq!(grid.range(Point::new(0.5, 0.5), Point::new(1.0, 0.0), 10.0), Some(1.5));
@@ -168,7 +168,7 @@ fn light_passes_what_is_unknown_but_cars_do_not() {
 
 // ---- lidar ----
 
-/// A motion at rest for the first second and 3 m/s some seconds later.
+/// A motion that rests for the first second and reaches 3 m/s some seconds later.
 fn motion(scene: &Scene) -> Motion {
     Motion::drive(&scene.route, &VehicleKnobs::default(), 10.0)
 }
@@ -189,12 +189,12 @@ fn scans_of_any_shape_pass_the_checks_of_the_matcher() {
         let scan = scan_with(&LidarKnobs { beams, field_of_view, ..LidarKnobs::default() }, 0.0);
         let scan = ScanConverter::default().convert(&scan, false).unwrap();
         assert_eq!(scan.len(), beams as usize);
-        assert_eq!(scan.beams().closes(), field_of_view >= 360.0);
+        assert_eq!(scan.beams().is_full_circle(), field_of_view >= 360.0);
     }
 }
 
 #[test]
-fn rays_without_a_wall_in_range_say_so() {
+fn rays_without_a_wall_in_range_have_no_return() {
     let all = scan_with(&LidarKnobs { noise: 0.0, range_resolution: 0.0, ..LidarKnobs::default() }, 0.0);
     let knobs = LidarKnobs { noise: 0.0, range_resolution: 0.0, range_min: 2.0, range_max: 4.0, ..LidarKnobs::default() };
     let limited = scan_with(&knobs, 0.0);
@@ -212,7 +212,7 @@ fn rays_without_a_wall_in_range_say_so() {
 }
 
 #[test]
-fn noise_and_rounding_are_as_asked() {
+fn noise_and_rounding_are_as_configured() {
     let exact = scan_with(&LidarKnobs { noise: 0.0, range_resolution: 0.0, ..LidarKnobs::default() }, 0.0);
     let noisy = scan_with(&LidarKnobs { noise: 0.02, ..LidarKnobs::default() }, 0.0);
     let errors: Vec<f64> = noisy.ranges.iter().zip(&exact.ranges).map(|(a, b)| f64::from(a - b)).collect();
@@ -235,7 +235,7 @@ fn a_slow_sweep_distorts_the_scan_of_a_moving_car_only() {
     let scene = corridor();
     let drive = motion(&scene);
     assert!((drive.pose_at(4.0).translation() - drive.pose_at(4.0216).translation()).norm() > 0.05);
-    // Each ray is the one of the instant scan taken when it left.
+    // Each ray equals that of an instantaneous scan at its time.
     for ray in [0, 540, 1080] {
         let taken = scan_with(&instant, 4.0 + ray as f64 * f64::from(swept.time_increment));
         assert_eq!(swept.ranges[ray].to_bits(), taken.ranges[ray].to_bits());
@@ -253,7 +253,7 @@ fn plane(pose: &Pose) -> Pose2 {
     Pose2::new(pose.position.x, pose.position.y, 2.0 * pose.orientation.z.atan2(pose.orientation.w))
 }
 
-/// The readings of a drive, and the true poses seen from the start.
+/// The odometry of a drive, and the true poses relative to the start.
 fn readings(knobs: &OdometerKnobs, motion: &Motion, seed: u64) -> Vec<(Odometry, Pose2)> {
     let start = motion.pose_at(0.0);
     let mut odometer = Odometer::new(knobs, start, Pcg64::seed_from_u64(seed));
@@ -286,7 +286,7 @@ fn odometry_at_rest_is_exact_and_its_covariance_is_never_zero() {
 }
 
 #[test]
-fn odometry_is_as_wrong_as_it_says() {
+fn odometry_errors_match_its_covariance() {
     let motion = motion(&corridor());
     let drives: Vec<f64> = (0..400)
         .map(|seed| {
@@ -305,14 +305,14 @@ fn odometry_is_as_wrong_as_it_says() {
 
 // ---- drives ----
 
-/// Poses at every tick of the driver; checked to be smooth and within what the car can do.
+/// Poses at every control step; checked to be smooth and within the limits of the car.
 fn checked_drive(route: &Route, knobs: &VehicleKnobs, seconds: f64) -> Vec<Pose2> {
     const STEP: f64 = 0.005;
     let motion = Motion::drive(route, knobs, seconds);
     let steps = 0..;
     let times = steps.map(|k| f64::from(k) * STEP).take_while(|time| *time <= seconds);
     let poses: Vec<Pose2> = times.map(|time| motion.pose_at(time)).collect();
-    let twists: Vec<Twist2> = poses.windows(2).map(|pair| Twist2::of_motion(&pair[0].between(&pair[1]), STEP)).collect();
+    let twists: Vec<Twist2> = poses.windows(2).map(|pair| Twist2::from_motion(&pair[0].between(&pair[1]), STEP)).collect();
     let tightest = knobs.max_steering.tan() / knobs.wheelbase;
     for (i, twist) in twists.iter().enumerate() {
         let resting = (i as f64 + 1.0) * STEP <= 1.0 + 1e-9;
@@ -333,24 +333,24 @@ fn path_length(poses: &[Pose2]) -> f64 {
     poses.windows(2).map(|pair| pair[0].between(&pair[1]).distance()).sum()
 }
 
-/// How near the car comes to the walls: its rear axle, its nose and the middle between.
-fn least_clearance(world: &dyn World, poses: &[Pose2]) -> f64 {
+/// Minimum distance of the car from the walls: at its rear axle, its nose and the middle between.
+fn min_clearance(world: &dyn World, poses: &[Pose2]) -> f64 {
     let places = |pose: &Pose2| [0.0, 0.15, 0.35].map(|ahead| pose.transform().apply(Point::new(ahead, 0.0)));
     poses.iter().flat_map(places).map(|place| world.clearance(place)).fold(f64::INFINITY, f64::min)
 }
 
 #[test]
-fn the_car_keeps_clear_of_the_walls_of_the_built_in_worlds() {
+fn the_car_keeps_its_distance_from_the_walls_of_the_built_in_worlds() {
     for &which in BuiltIn::ALL {
         let scene = Scene::built_in(which).unwrap();
         for &drive in Drive::ALL {
             for speed in [0.5, 3.0, 6.0] {
                 let knobs = VehicleKnobs { drive, speed, ..VehicleKnobs::default() };
                 let poses = checked_drive(&scene.route, &knobs, 60.0);
-                let clearance = least_clearance(scene.world.as_ref(), &poses);
+                let clearance = min_clearance(scene.world.as_ref(), &poses);
                 let length = path_length(&poses);
                 eprintln!(
-                    "{which:?} {drive:?} {speed} m/s: {length:.1} m, clear by {clearance:.2} m, lap {:.1} m",
+                    "{which:?} {drive:?} {speed} m/s: {length:.1} m, clearance {clearance:.2} m, lap {:.1} m",
                     scene.route.length()
                 );
                 assert!(clearance > 0.25, "{which:?} {drive:?} {speed} m/s: {clearance} m from a wall");
@@ -372,9 +372,9 @@ fn the_car_drives_200_m_through_real_maps() {
             let map = map_file::read(&folder.join(name).with_extension("yaml")).unwrap();
             let scene = Scene::in_map(map, seed).unwrap();
             let poses = checked_drive(&scene.route, &VehicleKnobs::default(), 120.0);
-            let clearance = least_clearance(scene.world.as_ref(), &poses);
+            let clearance = min_clearance(scene.world.as_ref(), &poses);
             let length = path_length(&poses);
-            eprintln!("{name}, seed {seed}: {length:.0} m, clear by {clearance:.2} m, lap {:.1} m", scene.route.length());
+            eprintln!("{name}, seed {seed}: {length:.0} m, clearance {clearance:.2} m, lap {:.1} m", scene.route.length());
             assert!(length >= 200.0 && clearance > 0.2, "{name}: {length} m, {clearance} m from a wall");
         }
     }
@@ -419,7 +419,7 @@ fn the_same_seed_makes_the_same_bytes() {
 }
 
 #[test]
-fn messages_come_in_the_order_and_at_the_times_of_a_real_robot() {
+fn messages_have_the_order_and_times_of_a_real_robot() {
     let mut settings = short();
     settings.lidar.rate = 30.0;
     let messages = record(&settings, &corridor());
@@ -449,7 +449,7 @@ fn messages_come_in_the_order_and_at_the_times_of_a_real_robot() {
 }
 
 #[test]
-fn a_recorded_drive_is_a_bag_and_its_truth_a_trajectory() {
+fn a_drive_is_recorded_as_a_bag_and_its_truth_as_a_trajectory() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str| {
         let mut truth = Vec::new();
@@ -483,7 +483,7 @@ fn an_error_of_the_recorder_ends_the_drive() {
 const YAML: &str =
     "image: map.png\nresolution: 0.05\norigin: [-1.0, -2.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n";
 
-/// A map of three shades: black at the top left, white, and a grey that is unknown.
+/// A map with three values: black at the top left, white, and a grey that means unknown.
 fn map_folder(yaml: &str) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("map.yaml"), yaml).unwrap();
@@ -517,17 +517,17 @@ fn bad_maps_name_the_file_the_field_and_the_remedy() {
     for (yaml, expected) in [
         (YAML.replace("map.png", "none.png"), vec!["image", "none.png", "relative to the map file"]),
         (YAML.replace("map.png", "map.yaml"), vec!["image", "map.yaml", "PNG or PGM"]),
-        (YAML.replace("resolution: 0.05", "resolution: 0"), vec!["resolution is 0", "more than 0"]),
-        (YAML.replace("resolution: 0.05", "resolution: .nan"), vec!["resolution is NaN", "more than 0"]),
+        (YAML.replace("resolution: 0.05", "resolution: 0"), vec!["resolution is 0", "above 0"]),
+        (YAML.replace("resolution: 0.05", "resolution: .nan"), vec!["resolution is NaN", "above 0"]),
         (YAML.replace("resolution: 0.05\n", ""), vec!["resolution"]),
-        (YAML.replace("resolution: 0.05", "resolution: coarse"), vec!["a map file has image, resolution"]),
-        (YAML.replace("-2.0, 0.0]", "-2.0]"), vec!["a map file has"]),
+        (YAML.replace("resolution: 0.05", "resolution: coarse"), vec!["a map file needs image, resolution"]),
+        (YAML.replace("-2.0, 0.0]", "-2.0]"), vec!["a map file needs"]),
         (YAML.replace("-2.0, 0.0]", "-2.0, .inf]"), vec!["origin", "[x, y, yaw]"]),
         (YAML.replace("negate: 0", "negate: 2"), vec!["negate is 2", "0 (dark is occupied)"]),
-        (YAML.replace("0.65", "65"), vec!["occupied_thresh is 65", "0 to 1"]),
+        (YAML.replace("0.65", "65"), vec!["occupied_thresh is 65", "between 0 and 1"]),
         (YAML.replace("0.196", "0.7"), vec!["free_thresh is 0.7", "less than occupied_thresh"]),
         (YAML.to_owned() + "mode: raw\n", vec!["mode is raw", "trinary"]),
-        ("not a map".to_owned(), vec!["a map file has"]),
+        ("not a map".to_owned(), vec!["a map file needs"]),
     ] {
         let message = read_map(&yaml).unwrap_err();
         for part in ["map.yaml"].into_iter().chain(expected) {
@@ -539,9 +539,9 @@ fn bad_maps_name_the_file_the_field_and_the_remedy() {
 }
 
 #[test]
-fn maps_without_a_way_to_drive_say_so() {
+fn maps_without_room_to_drive_are_an_error() {
     let blocked = OccupancyGrid::new(100, 0.05, Pose2::IDENTITY, vec![Cell::Unknown; 10_000]).unwrap();
-    assert!(Scene::in_map(blocked, 1).err().unwrap().to_string().contains("clear of walls"));
+    assert!(Scene::in_map(blocked, 1).err().unwrap().to_string().contains("away from walls"));
     let narrow = OccupancyGrid::new(30, 0.05, Pose2::IDENTITY, vec![Cell::Free; 3000]).unwrap();
     assert!(Scene::in_map(narrow, 1).err().unwrap().to_string().contains("no loop"));
 }
@@ -551,11 +551,11 @@ fn an_empty_hall_is_driven_in_circles() {
     let hall = OccupancyGrid::new(200, 0.05, Pose2::new(3.0, 1.0, 0.7), vec![Cell::Free; 40_000]).unwrap();
     let scene = Scene::in_map(hall, 1).unwrap();
     let poses = checked_drive(&scene.route, &VehicleKnobs::default(), 30.0);
-    assert!(least_clearance(scene.world.as_ref(), &poses) > 0.3 && path_length(&poses) > 30.0);
+    assert!(min_clearance(scene.world.as_ref(), &poses) > 0.3 && path_length(&poses) > 30.0);
 }
 
 #[test]
-fn the_demo_bag_is_a_drive_of_the_defaults_to_the_bit() {
+fn the_demo_bag_equals_a_drive_with_defaults_to_the_bit() {
     let bag = Bag::open(Path::new(env!("CARGO_MANIFEST_DIR")).join("bags/demo.bag")).unwrap();
     let mut settings = Settings::default();
     settings.drive.duration = Seconds(10.0);
@@ -567,7 +567,7 @@ fn the_demo_bag_is_a_drive_of_the_defaults_to_the_bit() {
 }
 
 #[test]
-fn a_simulated_bag_says_the_odometry_to_tf_too() {
+fn a_simulated_bag_has_the_odometry_on_tf_too() {
     let folder = tempfile::TempDir::new().unwrap();
     let out = folder.path().join("out.bag");
     let mut settings = Settings::default();
@@ -594,7 +594,7 @@ fn a_simulated_bag_says_the_odometry_to_tf_too() {
 
 // ---- traffic ----
 
-/// The ranges of all scans of a drive of 20 s without noise.
+/// The ranges of all scans of a drive of 20 s, without noise.
 fn ranges_amid(traffic: TrafficKnobs, scan_duration: f64) -> Vec<f32> {
     let mut settings = Settings { traffic, ..Settings::default() };
     settings.lidar = LidarKnobs { beams: 271, rate: 10.0, noise: 0.0, scan_duration: Seconds(scan_duration), ..settings.lidar };
@@ -606,15 +606,15 @@ fn ranges_amid(traffic: TrafficKnobs, scan_duration: f64) -> Vec<f32> {
 }
 
 #[test]
-fn traffic_covers_more_rays_the_more_of_it_there_is_and_nothing_else_changes() {
+fn more_traffic_hides_more_rays_and_changes_nothing_else() {
     let empty = ranges_amid(TrafficKnobs::default(), 0.0);
     for (walkers, rivals, least) in [(10, 0, 0.02), (30, 0, 0.07), (0, 1, 0.05), (0, 4, 0.07), (60, 4, 0.2)] {
         let ranges = ranges_amid(TrafficKnobs { walkers, rivals }, 0.0);
         assert!(ranges == ranges_amid(TrafficKnobs { walkers, rivals }, 0.0));
-        assert!(ranges.iter().zip(&empty).all(|(amid, empty)| amid <= empty), "somebody is behind a wall");
+        assert!(ranges.iter().zip(&empty).all(|(range, empty)| range <= empty), "traffic is behind a wall");
         let nearest = ranges.iter().copied().fold(f32::INFINITY, f32::min);
-        assert!(nearest > 0.15, "somebody is run over: {nearest}");
-        let covered = ranges.iter().zip(&empty).filter(|(amid, empty)| amid < empty).count();
+        assert!(nearest > 0.15, "the car touches traffic: {nearest}");
+        let covered = ranges.iter().zip(&empty).filter(|(range, empty)| range < empty).count();
         let share = covered as f64 / empty.len() as f64;
         println!("{walkers} walkers and {rivals} rivals cover {:.1} % of the rays", 100.0 * share);
         assert!(share > least && share < 2.0 * least, "{share}");
@@ -622,12 +622,12 @@ fn traffic_covers_more_rays_the_more_of_it_there_is_and_nothing_else_changes() {
 }
 
 #[test]
-fn people_and_rivals_move_no_faster_than_they_can() {
+fn people_and_cars_respect_their_speed_limits() {
     let scene = corridor();
     let motion = motion(&scene);
     let moved = |knobs: TrafficKnobs, seconds: f64, step: f64, fastest: f64| {
         let traffic = Traffic::new(&knobs, &scene.route, scene.world.as_ref(), &motion, Pcg64::seed_from_u64(3));
-        // Whoever a ray meets head-on is nearly met a moment later.
+        // A person or car hit centrally by a ray must be near the same ray a moment later.
         let from = motion.pose_at(seconds).translation();
         let seen = |at: f64, angle: f64| traffic.at(scene.world.as_ref(), at).range(from, direction(angle), 30.0).unwrap();
         let nearest = |at: f64| (0..3600).map(|i| seen(at, f64::from(i) * PI / 1800.0)).fold(f64::INFINITY, f64::min);
@@ -641,10 +641,10 @@ fn people_and_rivals_move_no_faster_than_they_can() {
 }
 
 #[test]
-fn what_moves_is_seen_where_it_is_when_its_ray_leaves() {
+fn moving_objects_are_seen_where_they_are_at_the_time_of_the_ray() {
     let traffic = TrafficKnobs { walkers: 40, rivals: 2 };
     assert!(ranges_amid(traffic.clone(), 0.0) != ranges_amid(traffic.clone(), 0.05));
-    // At rest only what moves differs.
+    // At rest only moving objects differ.
     let first_second = |ranges: Vec<f32>| ranges[..271 * 9].to_vec();
     let still =
         |traffic: TrafficKnobs| (first_second(ranges_amid(traffic.clone(), 0.0)), first_second(ranges_amid(traffic, 0.05)));
@@ -656,21 +656,21 @@ fn what_moves_is_seen_where_it_is_when_its_ray_leaves() {
 
 // ---- pairs of scans ----
 
-/// Here the least covariance is known by hand: n beams at a wall square to them tell its distance to noise / sqrt(n), and a pair of
-/// scans twice that variance.
+/// Cases in which the minimum covariance is known: n beams perpendicular to a wall determine its distance to noise / sqrt(n), and a pair of
+/// scans has twice that variance.
 #[test]
-fn the_bound_is_that_of_closed_forms() {
+fn the_cramer_rao_bound_equals_closed_forms() {
     let (noise, beams) = (0.01, 101_u8);
     let room = Shapes::default().block(&Pose2::IDENTITY.transform(), 10.0, 8.0);
     let all_round = BeamGeometry::new(0.0, 2.0 * PI / f64::from(beams), beams.into());
     let circle = Shapes::default().pillar(Point::zeros(), 4.0);
-    let of_circle = of_scan(&circle, &Pose2::IDENTITY, &all_round, noise, 30.0);
+    let of_circle = scan_information(&circle, &Pose2::IDENTITY, &all_round, noise, 30.0);
     let expected = 0.5 * f64::from(beams) / (noise * noise);
     assert!((of_circle.m11 / expected - 1.0).abs() < 1e-6 && (of_circle.m22 / expected - 1.0).abs() < 1e-6, "{of_circle}");
-    assert!(of_circle.m33 < 1e-9 * expected, "a circle tells nothing of the heading: {of_circle}");
-    assert_eq!(bound_of_pair(&of_circle), None);
+    assert!(of_circle.m33 < 1e-9 * expected, "a circle does not constrain the heading: {of_circle}");
+    assert_eq!(pair_covariance_bound(&of_circle), None);
 
-    // Finite differences of the ranges themselves, seen from somewhere in a room.
+    // Finite differences of the ranges, from a pose in a room.
     let at = Pose2::new(1.3, -0.7, 0.4);
     let range = |pose: Pose2, beam: Point| room.range(pose.translation(), pose.transform().rotate(beam), 30.0).unwrap();
     let step = 1e-5;
@@ -682,14 +682,14 @@ fn the_bound_is_that_of_closed_forms() {
         Vector3::new(change(step, 0.0, 0.0), change(0.0, step, 0.0), change(0.0, 0.0, step))
     };
     let sum: Matrix3<f64> = all_round.directions().iter().map(|&beam| derivative(beam)).map(|d| d * d.transpose()).sum();
-    let information = of_scan(&room, &at, &all_round, noise, 30.0);
+    let information = scan_information(&room, &at, &all_round, noise, 30.0);
     assert!((information * noise * noise - sum).norm() < 1e-4 * sum.norm(), "{information} {sum}");
-    let bound = bound_of_pair(&information).unwrap();
+    let bound = pair_covariance_bound(&information).unwrap();
     assert!((bound * information - Matrix3::identity() * 2.0).norm() < 1e-6);
 }
 
 #[test]
-fn pairs_are_those_of_their_seed_and_their_truth() {
+fn pairs_are_determined_by_their_seed_and_agree_with_their_truth() {
     let drawn = |seed| Pairs::new(RandomWorld::Room, 181, seed).take(20).collect::<Vec<_>>();
     assert_eq!(format!("{:?}", drawn(3)), format!("{:?}", drawn(3)));
     assert_ne!(format!("{:?}", drawn(3)), format!("{:?}", drawn(4)));
@@ -701,7 +701,7 @@ fn pairs_are_those_of_their_seed_and_their_truth() {
             assert!(off.distance() < 0.06 && off.theta.abs().to_degrees() < 3.0, "{off:?}");
             let nearest = pair.reference.ranges().iter().copied().fold(f64::INFINITY, f64::min);
             assert!(nearest > 0.3, "{}: a wall at {nearest} m", kind.name());
-            assert_eq!(bound_of_pair(&pair.information).is_none(), *kind == RandomWorld::FeaturelessCorridor);
+            assert_eq!(pair_covariance_bound(&pair.information).is_none(), *kind == RandomWorld::FeaturelessCorridor);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The solvers against independent answers: the problems under `shared/vectors`, a dense search over the heading, the expanded
+//! Compares the solvers with independent solutions: the problems under `shared/vectors`, a dense search over the heading, the expanded
 //! quartic, and each other.
 
 use std::f64::consts::{PI, TAU};
@@ -24,13 +24,13 @@ impl Problem {
         form
     }
 
-    /// The sum itself, term by term.
+    /// The squared error, term by term.
     fn error(&self, pose: &Pose2) -> f64 {
         let transform = pose.transform();
         self.terms.iter().map(|(p, q, c)| (transform.apply(*p) - q).dot(&(c * (transform.apply(*p) - q)))).sum()
     }
 
-    /// The least error with the heading fixed, and its position: a linear problem.
+    /// The minimum error at a fixed heading, and its position: a linear problem.
     fn at_heading(&self, theta: f64) -> (f64, Pose2) {
         let (mut a, mut b) = (Matrix2::zeros(), Point::zeros());
         let rotation = Pose2::new(0.0, 0.0, theta).transform();
@@ -135,13 +135,13 @@ fn the_closed_form_is_never_beaten_by_a_search_over_the_heading() {
     }
 }
 
-/// The quartic of the multiplier in its expanded form, by the eigenvalues of its companion matrix.
+/// Solves the expanded quartic of the multiplier by the eigenvalues of its companion matrix.
 #[test]
 fn the_answer_belongs_to_the_largest_root_of_the_quartic() {
     let mut rng = Pcg64::seed_from_u64(2);
     let solver = SolverKind::PointToLine;
     let mut negative = 0;
-    // Where a pose fits every line, for want of noise or of lines, the root is double: the expanded polynomial cannot resolve that.
+    // If a pose fits every line exactly, without noise or with few lines, the root is double, which the expanded polynomial cannot resolve.
     for id in (0..1500).filter(|id| id % 3 != 0) {
         let problem = random_problem(&mut rng, id);
         if problem.terms.len() < 7 {
@@ -182,14 +182,14 @@ fn the_answer_belongs_to_the_largest_root_of_the_quartic() {
             .fold(f64::NEG_INFINITY, f64::max);
         assert!((multiplier - largest).abs() < 1e-3 * scale, "problem {id}: {multiplier}, quartic {largest}");
         let quartic = ((((multiplier + c3) * multiplier + c2) * multiplier) + c1) * multiplier + c0;
-        assert!(quartic.abs() < 1e-7 * scale.powi(4), "problem {id}: {quartic} is no zero");
+        assert!(quartic.abs() < 1e-7 * scale.powi(4), "problem {id}: {quartic} is not zero");
         negative += u32::from(multiplier < 0.0);
     }
     assert!(negative > 100, "the roots must not be clamped to the positive ones: only {negative} are negative");
 }
 
 #[test]
-fn iterative_solvers_reach_the_closed_form_from_near_by() {
+fn iterative_solvers_converge_to_the_closed_form_from_nearby() {
     let mut rng = Pcg64::seed_from_u64(3);
     for id in 0..500 {
         let problem = random_problem(&mut rng, id * 3 + 1);
@@ -227,7 +227,7 @@ fn point_to_point_recovers_a_motion_and_beats_a_search() {
 }
 
 #[test]
-fn what_the_pairs_leave_open_is_the_priors() {
+fn unconstrained_directions_stay_at_the_prior() {
     let prior = Pose2::new(0.7, 0.2, 0.1);
     let solver = SolverKind::PointToLine;
     // Walls along x only: x stays where it was.
@@ -238,7 +238,7 @@ fn what_the_pairs_leave_open_is_the_priors() {
     }
     let pose = solver.solve(&corridor, &prior).unwrap();
     assert!((pose.x - 0.7).abs() < 1e-9 && pose.y.abs() < 1e-9 && pose.theta.abs() < 1e-9, "{pose:?}");
-    // All points in the laser itself: no heading.
+    // All points at the laser itself: no heading.
     let mut point = QuadraticForm::default();
     for i in 0..10 {
         let (sin, cos) = f64::from(i).sin_cos();
@@ -246,7 +246,7 @@ fn what_the_pairs_leave_open_is_the_priors() {
     }
     let pose = solver.solve(&point, &prior).unwrap();
     assert!(pose.translation().norm() < 1e-9 && (pose.theta - 0.1).abs() < 1e-12, "{pose:?}");
-    // Nothing at all: no pose, and no crash.
+    // No pairs at all: no pose, and no crash.
     for kind in SolverKind::ALL {
         let answer = kind.solve(&QuadraticForm::default(), &prior);
         assert!(answer.is_none_or(|pose| pose.is_finite()), "{}", kind.name());

@@ -1,4 +1,4 @@
-//! What `anytime` prints: it fits the terminal, programs can read it, and it says where files are.
+//! The output of `anytime`: it fits the terminal, programs can read it, and it names the files written.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -27,7 +27,7 @@ fn longest(text: &str) -> usize {
 fn commands() -> Vec<String> {
     let help = text(&["--help"], None);
     let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
-    // The lines that a description goes on in are farther in.
+    // Continuation lines of a description are indented further.
     let names = listed.filter_map(|line| line.strip_prefix("  ")?.split(' ').next().filter(|name| !name.is_empty()));
     let commands: Vec<String> = names.filter(|name| *name != "help").map(str::to_owned).collect();
     assert!(commands.len() >= 11 && commands.contains(&"replay".into()), "{commands:?}");
@@ -51,11 +51,11 @@ fn help_and_tables_fit_the_terminal() {
         fits(&["replay", "bags/demo.bag", "--truth", "bags/demo.tum", "--time-budget", "5ms"]);
         fits(&["localize", "bags/demo.bag", "--map", "maps/corridor.yaml", "--truth", "bags/demo.tum", "--particles", "500"]);
     }
-    assert!(text(&["info", "bags/demo.bag"], None).contains("│ topic"), "a pipe is as wide as need be");
+    assert!(text(&["info", "bags/demo.bag"], None).contains("│ topic"), "a pipe has no width limit");
 }
 
 #[test]
-fn no_help_says_a_default_twice() {
+fn no_help_text_states_a_default_twice() {
     for command in commands() {
         let help = text(&[&command, "--help"], Some("100"));
         let mut entries = vec![String::new()];
@@ -71,7 +71,7 @@ fn no_help_says_a_default_twice() {
     }
 }
 
-/// Keys of an object and of those in it, with dots; under `failures`, `unused`, ... names are data.
+/// Keys of an object and of nested objects, joined by dots; under `failures`, `unused`, ... the names are data.
 fn keys(value: &Value, path: &str, found: &mut BTreeSet<String>) {
     let data = ["failures", "unused", "chunks", "passed_over", "facts"];
     match value {
@@ -87,7 +87,7 @@ fn keys(value: &Value, path: &str, found: &mut BTreeSet<String>) {
     }
 }
 
-/// The fields that docs/json.md names for a command.
+/// The fields that docs/json.md lists for a command.
 fn documented(command: &str) -> BTreeSet<String> {
     let document = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/json.md")).unwrap();
     let section = document.split("\n## ").find(|section| section.starts_with(&format!("anytime {command}\n"))).unwrap();
@@ -128,25 +128,25 @@ fn every_command_prints_compact_json_whose_fields_are_documented() {
     for (command, arguments, files) in lines {
         let words = [&[command], &arguments[..], &["--json"]].concat();
         let printed = text(&words, Some("60"));
-        assert_eq!(printed.lines().count(), 1, "{command}: compact, and not broken into lines");
+        assert_eq!(printed.lines().count(), 1, "{command}: the JSON must be on one line");
         let value: Value = serde_json::from_str(&printed).unwrap();
         let mut found = BTreeSet::new();
         keys(&value, "", &mut found);
         let documented = documented(command);
         let unknown: Vec<_> = found.difference(&documented).collect();
         assert!(unknown.is_empty(), "docs/json.md, {command}: {unknown:?} are missing");
-        let said = String::from_utf8(anytime(&words, None).stderr).unwrap();
-        assert_eq!(said.matches("wrote ").count(), files.len(), "{command}: {said}");
+        let reported = String::from_utf8(anytime(&words, None).stderr).unwrap();
+        assert_eq!(reported.matches("wrote ").count(), files.len(), "{command}: {reported}");
     }
-    let said = String::from_utf8(anytime(&["replay", demo[0], "--tum", &tum], None).stderr).unwrap();
-    assert!(said.contains(&format!("wrote {tum}")), "{said}");
+    let reported = String::from_utf8(anytime(&["replay", demo[0], "--tum", &tum], None).stderr).unwrap();
+    assert!(reported.contains(&format!("wrote {tum}")), "{reported}");
     let header = std::fs::read_to_string(&csv).unwrap();
     let column = header.lines().next().unwrap().split(',').position(|name| name == "localized").expect("a column `localized`");
     assert!(header.lines().skip(1).all(|line| ["true", "false"].contains(&line.split(',').nth(column).unwrap())));
 }
 
 #[test]
-fn failures_are_told_by_reason() {
+fn failures_are_counted_by_reason() {
     let dir = tempfile::tempdir().unwrap();
     let csv = dir.path().join("x.csv");
     let words =
@@ -166,7 +166,7 @@ fn completions_and_manual_pages_know_the_commands() {
         let script = text(&["completions", shell], Some("60"));
         assert!(script.contains("contract-schedule") && script.contains("localize"), "{shell}");
     }
-    assert!(longest(&text(&["completions", "bash"], Some("60"))) > 60, "a script is not broken into lines");
+    assert!(longest(&text(&["completions", "bash"], Some("60"))) > 60, "a script must not be wrapped");
     let page = text(&["man"], Some("60"));
     assert!(page.contains(".TH anytime 1") && page.contains("anytime\\-replay(1)"), "{page}");
     let page = text(&["man", "replay"], None);

@@ -4,7 +4,7 @@
 use anytime_scan_matcher::geometry::{Point, Pose2, PoseCovariance, wrap_angle};
 use anytime_scan_matcher::matching::classic::rejection::RejectionKnobs;
 use anytime_scan_matcher::matching::{Matcher, MatchingKnobs};
-use anytime_scan_matcher::simulation::information::bound_of_pair;
+use anytime_scan_matcher::simulation::information::pair_covariance_bound;
 use anytime_scan_matcher::simulation::pairs::{Pairs, ScanPair};
 use anytime_scan_matcher::simulation::random_world::RandomWorld;
 use nalgebra::Vector3;
@@ -13,29 +13,29 @@ use rand_pcg::Pcg64;
 
 const PAIRS: usize = 500;
 const SEED: u64 = 4;
-/// A match is lost when it ends farther off than this, m,
+/// A match is lost if its translation error is above this, m.
 const LOST_TRANSLATION: f64 = 0.05;
-/// or turned by more than this, deg.
+/// A match is lost if its rotation error is above this, deg.
 const LOST_ROTATION: f64 = 1.0;
-/// Guesses from afar are off by up to so much along each axis, m,
+/// Maximum error of a far-off guess along each axis, m.
 const FAR_TRANSLATION: f64 = 0.5;
-/// and turned by up to so much, deg.
+/// Maximum rotation error of a far-off guess, deg.
 const FAR_ROTATION: f64 = 45.0;
 
-/// What is asked of one setting.
+/// The limits for one setting.
 struct Limits {
     world: RandomWorld,
     beams: u32,
     /// RMSE from a good guess, mm and mdeg; in the featureless corridor the translation is that across it.
     translation: f64,
     rotation: f64,
-    /// Mean normalised estimation error squared, 3 where the covariance is right; `None`: a direction is open, there is no covariance.
+    /// Mean normalised estimation error squared, 3 if the covariance is right; `None`: a direction is unconstrained and there is no covariance.
     nees: Option<(f64, f64)>,
-    /// Matches lost out of [`PAIRS`] from a guess of no motion, and from one off by up to [`FAR_TRANSLATION`] and [`FAR_ROTATION`].
+    /// Matches lost out of [`PAIRS`] from a zero guess, and from one off by up to [`FAR_TRANSLATION`] and [`FAR_ROTATION`].
     lost: (usize, usize),
 }
 
-/// Where a direction is open, as many pairs say so at least.
+/// If a direction is unconstrained, the minimum number of pairs that report it.
 const OPEN: usize = PAIRS - PAIRS / 100;
 
 const fn limits(world: RandomWorld, beams: u32, rmse: (f64, f64), nees: Option<(f64, f64)>, lost: (usize, usize)) -> Limits {
@@ -44,14 +44,14 @@ const fn limits(world: RandomWorld, beams: u32, rmse: (f64, f64), nees: Option<(
 
 use RandomWorld::{Corridor, CurvedRoom, FeaturelessCorridor, Room, RoughRoom};
 
-/// What the product is meant to reach.
+/// The target limits.
 const MUSTS: [Limits; 3] = [
     limits(Room, 1080, (1.0, 6.0), Some((2.5, 3.5)), (5, 500)),
     limits(Room, 361, (1.75, 12.0), Some((2.5, 3.5)), (5, 500)),
     limits(Room, 181, (2.6, 17.0), Some((2.5, 3.5)), (5, 500)),
 ];
 
-/// What it reaches: a tenth more than measured of errors, a fifth more of matches lost.
+/// The limits reached: a tenth above the measured errors, a fifth above the measured numbers of lost matches.
 const REACHED: [Limits; 15] = [
     limits(Room, 1080, (0.99, 6.0), Some((2.5, 3.5)), (0, 57)),
     limits(Room, 361, (1.69, 11.6), Some((2.5, 3.5)), (0, 60)),
@@ -70,7 +70,7 @@ const REACHED: [Limits; 15] = [
     limits(FeaturelessCorridor, 181, (0.84, 3.9), None, (0, 0)),
 ];
 
-/// A matcher as users get it.
+/// A matcher with default parameters.
 fn default_matcher() -> Matcher {
     Matcher::new(&MatchingKnobs::default(), &RejectionKnobs::default())
 }
@@ -82,7 +82,7 @@ fn matched(matcher: &mut Matcher, pair: &ScanPair, guess: Pose2) -> (Pose2, Opti
     (refinement.pose(), refinement.uncertainty().and_then(|uncertainty| uncertainty.covariance))
 }
 
-/// The error of a pose, in the frame of the reference: x, y, heading.
+/// The error of a pose in the frame of the reference: x, y, heading.
 fn error(pair: &ScanPair, pose: &Pose2) -> Vector3<f64> {
     let truth = pair.reference_from_sensed;
     Vector3::new(pose.x - truth.x, pose.y - truth.y, wrap_angle(pose.theta - truth.theta))
@@ -99,7 +99,7 @@ fn from_afar(pose: &Pose2, random: &mut Pcg64) -> Pose2 {
     Pose2::new(pose.x + x, pose.y + y, pose.theta + theta)
 }
 
-/// The direction of the plane that the scans tell most about.
+/// The direction that the scans constrain best.
 fn best_known(pair: &ScanPair) -> Point {
     let eigen = pair.information.fixed_view::<2, 2>(0, 0).into_owned().symmetric_eigen();
     eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned()
@@ -109,14 +109,14 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// What came out of the pairs of one setting.
+/// The results of the pairs of one setting.
 #[derive(Debug)]
 struct Accuracy {
     translation_mm: f64,
-    /// In the direction that the scans tell most about.
+    /// In the direction that the scans constrain best.
     across_mm: f64,
     rotation_mdeg: f64,
-    /// The least RMSE that any matcher can reach, over the pairs that have a bound.
+    /// The Cramer-Rao bound on the RMSE, over the pairs that have one.
     bound_mm: f64,
     bound_mdeg: f64,
     nees: f64,
@@ -140,13 +140,13 @@ impl Accuracy {
             let best_known = best_known(&pair);
             across.push(best_known.dot(&error_of_pair.xy()));
             errors.push(error_of_pair);
-            bounds.extend(bound_of_pair(&pair.information));
+            bounds.extend(pair_covariance_bound(&pair.information));
 
             let far = from_afar(&pair.reference_from_sensed, &mut random);
             let others = [Pose2::IDENTITY, far].map(|guess| matched(&mut matcher, &pair, guess).0);
             for (lost, pose) in lost.iter_mut().zip([pose, others[0], others[1]]) {
                 let error = error(&pair, &pose);
-                // Nobody can know how far along a featureless corridor one is.
+                // The position along a featureless corridor is unobservable.
                 let across_only = world == FeaturelessCorridor;
                 let translation = if across_only { best_known.dot(&error.xy()) } else { error.xy().norm() };
                 *lost += usize::from(is_lost(translation, error.z));
@@ -251,7 +251,7 @@ const DISTANCES: [f64; 6] = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5];
 const ANGLES: [f64; 7] = [0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0];
 const PAIRS_PER_CELL: usize = 100;
 
-/// Parts of the pairs, in percent, matched from guesses so far off and turned by so much; directions at random.
+/// Percentage of the pairs that are matched, by distance and rotation of the guess error, in random directions.
 fn success_table(world: RandomWorld, beams: u32) -> Vec<Vec<usize>> {
     let pairs: Vec<ScanPair> = Pairs::new(world, beams, SEED).take(PAIRS_PER_CELL).collect();
     let mut matcher = default_matcher();
@@ -277,7 +277,7 @@ fn success_from_far_off() {
             println!("{distance:>7.1} m {row:>6?}");
         }
         let well_within = table.iter().flat_map(|row| &row[..3]);
-        // In a corridor few beams tell how far one has come along it: 91 % measured.
+        // In a corridor only a few beams constrain the position along it: 91 % measured.
         let least = if world == Corridor { 89 } else { 99 };
         assert!(well_within.min() >= Some(&least), "{} of {beams} beams: {table:?}", world.name());
     }

@@ -1,13 +1,13 @@
-//! What a map costs that is made while a car drives: a laser of 1080 beams at 40 Hz.
+//! The cost of building a map while a car drives: a laser with 1080 beams at 40 Hz.
 
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anytime_scan_matcher::anytime::clock::MonotonicClock;
-use anytime_scan_matcher::anytime::interrupt::Never;
-use anytime_scan_matcher::app::sensed::Sensed;
-use anytime_scan_matcher::app::{Answering as _, App};
+use anytime_scan_matcher::anytime::interrupt::NeverInterrupt;
+use anytime_scan_matcher::app::sensed::SensorMessage;
+use anytime_scan_matcher::app::{App, ScanProcessor as _};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;
@@ -20,18 +20,18 @@ use anytime_scan_matcher::simulation::scene::Scene;
 
 use crate::common::shared;
 
-/// Scans drawn at once, as the node does.
+/// Scans drawn at a time, as in the node.
 const PORTION: usize = 16;
 
 /// `SECONDS=600 cargo test --release --test soak live_map -- --nocapture` drives for ten minutes.
 #[test]
-fn a_map_costs_little_of_a_core_while_it_grows() {
+fn mapping_takes_a_small_fraction_of_a_core() {
     let seconds = std::env::var("SECONDS").ok().and_then(|seconds| seconds.parse().ok()).unwrap_or(60.0);
     let mut settings = Settings::default();
     settings.drive.duration = Seconds(seconds);
     (settings.lidar.beams, settings.lidar.rate) = (1080, 40.0);
     let mut config = Config::default();
-    // As the node has it.
+    // As in the node.
     (config.odometry.close_loops, config.odometry.max_keyframes) = (false, 100);
     let mut app = App::new(&config, Arc::new(MonotonicClock::default())).unwrap();
     let mut map = LiveMap::new(&config.matching, &config.rejection, 0.05);
@@ -49,10 +49,10 @@ fn a_map_costs_little_of_a_core_while_it_grows() {
                 let mut estimate = app.on_scan(&scan, begun.elapsed());
                 app.conclude(&mut estimate);
                 matching += begun.elapsed();
-                let seen = app.sighting(&Sensed::Scan(scan), &estimate);
-                app.maintain(&Never);
-                let Some((sighting, measured)) = seen else { return Ok(()) };
-                let pose = sighting.odom_from_base;
+                let seen = app.posed_scan(&SensorMessage::Scan(scan), &estimate);
+                app.maintain(&NeverInterrupt);
+                let Some((posed_scan, measured)) = seen else { return Ok(()) };
+                let pose = posed_scan.odom_from_base;
                 let moved = last.map(|last: Pose2| last.between(&pose));
                 if moved.is_some_and(|moved| moved.distance() < 0.05 && moved.theta.abs() < 0.05) {
                     return Ok(());
@@ -60,7 +60,7 @@ fn a_map_costs_little_of_a_core_while_it_grows() {
                 distance += moved.map_or(0.0, |moved| moved.distance());
                 last = Some(pose);
                 let begun = Instant::now();
-                keyframes += u32::from(map.add(sighting, &measured));
+                keyframes += u32::from(map.add(posed_scan, &measured));
                 adding += begun.elapsed();
                 worst = worst.max(begun.elapsed());
                 let begun = Instant::now();
@@ -101,9 +101,9 @@ fn a_map_costs_little_of_a_core_while_it_grows() {
     assert!(error(map_from_odom * odom).distance() < 0.1);
 }
 
-/// A real log, scan by scan, against the map that is made of it afterwards.
+/// The live map of a real log, compared with the map built from it offline.
 #[test]
-fn a_real_log_becomes_the_same_map_as_afterwards() {
+fn the_live_map_of_a_real_log_equals_the_offline_map() {
     let Some(path) = shared("data/intel/intel.bag") else { return };
     let mut config = Config::default();
     (config.odometry.close_loops, config.odometry.max_keyframes) = (false, 100);
@@ -118,11 +118,11 @@ fn a_real_log_becomes_the_same_map_as_afterwards() {
         }
         let scan: LaserScan = message.decode().unwrap();
         let estimate = app.on_scan(&scan, Duration::ZERO);
-        let seen = app.sighting(&Sensed::Scan(scan), &estimate);
-        app.maintain(&Never);
-        let Some((sighting, measured)) = seen else { continue };
-        afterwards.add(sighting.clone());
-        map.add(sighting, &measured);
+        let seen = app.posed_scan(&SensorMessage::Scan(scan), &estimate);
+        app.maintain(&NeverInterrupt);
+        let Some((posed_scan, measured)) = seen else { continue };
+        afterwards.add(posed_scan.clone());
+        map.add(posed_scan, &measured);
         map.work(PORTION);
     }
     map.settle();

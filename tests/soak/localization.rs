@@ -1,4 +1,4 @@
-//! The particle filter on long drives: no false alarm, and how far off a real simulator's recording it is.
+//! The particle filter on long drives: no false alarms, and its error on a recording of `racecar_simulator`.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::common::shared;
 
-/// What the program says, as JSON.
+/// The JSON summary of the program.
 fn localize(bag: &Path, map: &Path, truth: &str, particles: u32) -> Value {
     let mut command = Command::new(env!("CARGO_BIN_EXE_anytime"));
     command.arg("localize").arg(bag).arg("--map").arg(map).args(["--truth", truth, "--json"]);
@@ -17,10 +17,10 @@ fn localize(bag: &Path, map: &Path, truth: &str, particles: u32) -> Value {
 }
 
 #[test]
-fn ten_drives_of_two_minutes_without_a_false_alarm() {
+fn ten_drives_of_two_minutes_raise_no_false_alarm() {
     let folder = tempfile::tempdir().unwrap();
     for seed in 1..=10 {
-        // Each map meets each number of particles.
+        // Combine each map with each number of particles.
         let name = ["levine", "columbia", "skirk"][seed % 3];
         let particles = [1000, 2000, 4000][(seed + seed / 3) % 3];
         let Some(map) = shared(&format!("data/maps/{name}.yaml")) else { return };
@@ -36,7 +36,7 @@ fn ten_drives_of_two_minutes_without_a_false_alarm() {
 }
 
 #[test]
-fn a_recording_of_racecar_simulator_whose_ranges_are_up_to_5_cm_off() {
+fn a_recording_of_racecar_simulator_with_range_errors_up_to_5_cm_is_tracked() {
     let (Some(bag), Some(map)) = (shared("data/racecar-levine/racecar-levine.bag"), shared("data/maps/levine.yaml")) else {
         return;
     };

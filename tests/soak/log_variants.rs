@@ -1,5 +1,5 @@
-//! The real logs as other robots would have recorded them: scans fewer, coarser or narrower, odometry that errs by a scale or is stamped
-//! earlier. An estimator that was fitted to the logs as they are fails here.
+//! The real logs as other robots would have recorded them: fewer, coarser or narrower scans, odometry with a scale error or earlier stamps.
+//! An estimator that is tuned to the original logs fails here.
 
 use std::f64::consts::FRAC_PI_3;
 use std::path::Path;
@@ -13,12 +13,12 @@ use serde_json::Value;
 
 use crate::common::shared;
 
-/// What becomes of a message; `false`: it is left out.
+/// Modifies a message; `false`: the message is left out.
 struct Variant {
     name: &'static str,
     scan: fn(&mut LaserScan, usize) -> bool,
     odometry: fn(&mut Odometry),
-    /// The odometry is stamped, and comes, so much earlier, s.
+    /// Time by which the odometry is stamped, and arrives, earlier, s.
     lag: f64,
 }
 
@@ -39,7 +39,7 @@ fn keep_beams(scan: &mut LaserScan, first: usize, step: usize, count: usize) {
     scan.angle_max = scan.angle_min + (scan.ranges.len() - 1) as f32 * scan.angle_increment;
 }
 
-#[allow(clippy::cast_sign_loss)] // a scan that looks ahead
+#[allow(clippy::cast_sign_loss)] // the scan faces forward
 fn narrow(scan: &mut LaserScan) {
     let (increment, half) = (f64::from(scan.angle_increment), FRAC_PI_3);
     let first = ((-half - f64::from(scan.angle_min)) / increment).round() as usize;
@@ -115,9 +115,9 @@ fn json(arguments: &[&str]) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Three times what the logs are held to as they are, m.
+/// Limits on the relations of the variants: three times those of the original logs, m.
 #[test]
-fn other_robots_would_have_found_their_way_too() {
+fn variants_of_the_logs_are_matched_nearly_as_well() {
     for (name, mount, limit) in [("fr079", "[-0.04, 0, 0]", 0.045), ("aces", "[0, 0, 0]", 0.06), ("intel", "[0, 0, 0]", 0.032)] {
         let Some(log) = shared(&format!("data/{name}/{name}.bag")) else { return };
         let relations = log.with_extension("relations");
@@ -133,7 +133,7 @@ fn other_robots_would_have_found_their_way_too() {
                 let result = json(&["evaluate", tum, "--relations", relations, "--json"]);
                 result["relations"]["trans_m"]["mean"].as_f64().unwrap()
             };
-            // Four degrees from beam to beam: whether places are recognised is chance. One of the two in the middle of four.
+            // With beams four degrees apart, loop closures are a matter of chance. Use the second or third of four runs.
             let is_chance = name == "intel" && variant.name == "every fourth beam";
             let (found, most) = if is_chance {
                 let mut means = ["0.36", "0.40", "0.44", "0.50"].map(&mut mean);
@@ -148,9 +148,9 @@ fn other_robots_would_have_found_their_way_too() {
     }
 }
 
-/// A real log whose wheels say nothing for four scans and then all at once.
+/// A real log whose odometry is silent for four scans and then catches up at once.
 #[test]
-fn a_dropout_of_the_odometry_is_survived_with_every_second_scan_too() {
+fn an_odometry_dropout_is_tolerated_even_with_every_second_scan() {
     let Some(log) = shared("cases/odometry_dropout.bag") else { return };
     let folder = tempfile::tempdir().unwrap();
     let [all, half, bag] = ["all.tum", "half.tum", "half.bag"].map(|file| folder.path().join(file));

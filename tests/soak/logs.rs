@@ -1,4 +1,4 @@
-//! The real logs, to their end, and long drives.
+//! The complete real logs, and long drives.
 
 use std::fs;
 use std::process::Command;
@@ -17,14 +17,14 @@ struct Log {
     name: &'static str,
     scans: usize,
     laser_in_base: &'static str,
-    /// Scans answered with a prediction at most: as docs/figures.md states.
+    /// Maximum number of scans answered with a prediction, as stated in docs/figures.md.
     failures: u64,
-    /// Mean translational relation error at most, m: a fifth more than docs/figures.md states.
+    /// Maximum of the mean translational relation error, m: a fifth above the figure of docs/figures.md.
     relations: Option<f64>,
 }
 
 #[test]
-fn the_real_logs_run_to_their_end() {
+fn the_real_logs_are_matched_as_well_as_documented() {
     let logs = [
         Log { name: "fr079", scans: 4934, laser_in_base: "[-0.04, 0, 0]", failures: 0, relations: Some(0.042) },
         Log { name: "aces", scans: 7374, laser_in_base: "[0, 0, 0]", failures: 0, relations: Some(0.068) },
@@ -65,10 +65,10 @@ fn the_real_logs_run_to_their_end() {
     }
 }
 
-/// Every scan's pose after all corrections.
+/// Checks the poses of all scans after all corrections.
 #[test]
-fn maps_of_the_real_logs_are_as_good_as_stated() {
-    // A fifth more than docs/maps.md states, m.
+fn maps_of_the_real_logs_are_as_good_as_documented() {
+    // A fifth above the figures of docs/maps.md, m.
     for (name, laser_in_base, limit) in
         [("fr079", "[-0.04, 0, 0]", 0.0365), ("aces", "[0, 0, 0]", 0.0408), ("intel", "[0, 0, 0]", 0.0168)]
     {
@@ -85,10 +85,9 @@ fn maps_of_the_real_logs_are_as_good_as_stated() {
     }
 }
 
-/// Without odometry nothing but the scans tells how far along its corridors the robot has come, and the ranges err alike from scan to
-/// scan.
+/// Without odometry, only the scans constrain the motion along the corridors, and the range errors are correlated from scan to scan.
 #[test]
-fn long_corridors_are_driven_by_scans_alone() {
+fn long_corridors_are_matched_by_scans_alone() {
     let Some(bag) = shared("data/racecar-levine/racecar-levine.bag") else { return };
     let truth = bag.with_file_name("truth.tum");
     let summary = json(&["replay", bag.to_str().unwrap(), "--scan-only", "--truth", truth.to_str().unwrap(), "--json"]);
@@ -96,10 +95,9 @@ fn long_corridors_are_driven_by_scans_alone() {
     assert!(summary["ate_rmse_m"].as_f64().unwrap() < 0.0182, "{summary}");
 }
 
-/// Where a corridor's corner is all that a laser sees of how far it has come, the ray that ends on the one wall must not take the other one
-/// for its partner.
+/// If only the corner of a corridor constrains the motion along it, a ray that ends on one wall must not be paired with the other wall.
 #[test]
-fn corners_are_driven_by_scans_alone() {
+fn corners_are_matched_by_scans_alone() {
     let Some(world) = shared("data/maps/levine.yaml") else { return };
     let folder = tempfile::tempdir().unwrap();
     let [bag, truth] = ["x.bag", "x.tum"].map(|file| folder.path().join(file).to_str().unwrap().to_owned());
@@ -112,10 +110,10 @@ fn corners_are_driven_by_scans_alone() {
     }
 }
 
-/// Drives of a minute on maps, and what the poses in the odom frame err by against what they claim; a fifth worse than docs/figures.md
-/// states at most.
+/// Drives of a minute on maps: compares the errors of the poses in the odom frame with their covariances; at most a fifth worse than the
+/// figures of docs/figures.md.
 #[test]
-fn covariances_hold_on_maps_as_far_as_stated() {
+fn covariances_are_as_consistent_as_documented() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (bag, truth) = (path("drive.bag"), path("drive.tum"));
@@ -125,9 +123,9 @@ fn covariances_hold_on_maps_as_far_as_stated() {
         ("levine", "21", "0", 0, 0.01),
         ("porto", "21", "0", 0, 0.01),
         ("skirk", "21", "0", 0, 0.01),
-        // Two visits of a corridor were linked, but not put right: 313 poses were confidently wrong.
+        // Once two visits of a corridor were linked but not corrected, and 313 poses were confidently wrong.
         ("berlin", "5", "0", 0, 0.01),
-        // The poses are off by a metre: that is said.
+        // The poses are off by a metre, and their covariances show it.
         ("levine", "21", "30", 198, 0.083),
         ("porto", "21", "30", 0, 0.01),
     ] {

@@ -1,4 +1,4 @@
-//! Many drives, many pairs of scans and long logs, each test some ten seconds: how good the estimates are.
+//! Accuracy of the estimates over many drives, pairs of scans and long logs; each test takes some ten seconds.
 #![cfg(feature = "cli")]
 #![allow(clippy::unwrap_used, clippy::print_stderr, clippy::print_stdout, clippy::cast_possible_truncation)]
 

@@ -1,4 +1,4 @@
-//! Maps of places that look alike: no loop may be closed that is none.
+//! Maps of places that look the same: no false loop may be closed.
 
 use std::path::Path;
 use std::process::Command;
@@ -18,8 +18,8 @@ use crate::common::shared;
 
 const RESOLUTION: f64 = 0.05;
 
-/// Corridors 2.4 m wide around a block, 36 m x 14 m; every 4 m a niche, so that both long ones look alike in many places, and each like the
-/// other one turned round.
+/// Corridors 2.4 m wide around a block of 36 m x 14 m, with a niche every 4 m, so that both long ones look the same in many places, and each
+/// like the other one rotated by 180 degrees.
 fn alike_corridors() -> OccupancyGrid {
     let (width, height) = (40.0, 18.0);
     grid(width, height, |x, y| {
@@ -31,8 +31,8 @@ fn alike_corridors() -> OccupancyGrid {
     })
 }
 
-/// Six rooms, 8 m x 7 m, with the same pillar and cupboard each, three in a row and the other three turned round; doors and short
-/// corridors make a ring of them.
+/// Six rooms of 8 m x 7 m, each with the same pillar and cupboard, three in a row and the other three rotated by 180 degrees; doors and
+/// short corridors connect them to a ring.
 fn alike_rooms() -> OccupancyGrid {
     let (width, height) = (44.0, 20.0);
     let in_row = |x: f64, y: f64| {
@@ -64,7 +64,7 @@ fn json(arguments: &[&str]) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// A laser like a SICK's of old, that reaches so far, m.
+/// A laser like an old SICK's, with this maximum range, m.
 fn settings(seed: u32, speed: f64, duration: f64, reach: f64) -> Settings {
     let mut settings = Settings::default();
     (settings.drive.seed, settings.drive.duration, settings.vehicle.speed) = (seed, Seconds(duration), speed);
@@ -72,7 +72,7 @@ fn settings(seed: u32, speed: f64, duration: f64, reach: f64) -> Settings {
     settings
 }
 
-/// Drives and makes the map, in `folder`; its mean and greatest error, m.
+/// Simulates a drive and builds the map in `folder`; returns its mean and maximum error, m.
 fn mapped(folder: &Path, world: OccupancyGrid, settings: &Settings) -> (f64, f64) {
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     let mut poses = Vec::new();
@@ -87,7 +87,7 @@ fn mapped(folder: &Path, world: OccupancyGrid, settings: &Settings) -> (f64, f64
     (rmse, max)
 }
 
-/// Mean and greatest error of the worst of some drives, m: `SEEDS=100 cargo test --release --test soak alike -- --nocapture` makes a
+/// Mean and maximum error of the worst of some drives, m: `SEEDS=100 cargo test --release --test soak alike -- --nocapture` simulates a
 /// hundred in each world.
 fn worst(world: fn() -> OccupancyGrid, seeds: u32, duration: f64) -> (f64, f64) {
     let seeds = std::env::var("SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(seeds);
@@ -97,22 +97,22 @@ fn worst(world: fn() -> OccupancyGrid, seeds: u32, duration: f64) -> (f64, f64) 
 }
 
 #[test]
-fn corridors_that_look_alike_are_not_taken_for_each_other() {
+fn corridors_that_look_alike_are_not_confused() {
     let (worst, farthest) = worst(alike_corridors, 8, 90.0);
-    // A wrong loop bends the whole map; a keyframe by itself may be placed wrong where niche is like niche: .094 and .324 m in 100 drives.
+    // A false loop bends the whole map; a single keyframe may be wrong because the niches look the same: .094 and .324 m in 100 drives.
     assert!(worst < 0.113 && farthest < 0.39, "{worst}, {farthest} m");
 }
 
 #[test]
-fn rooms_that_look_alike_are_not_taken_for_each_other() {
+fn rooms_that_look_alike_are_not_confused() {
     let (worst, farthest) = worst(alike_rooms, 4, 180.0);
     // .138 and .378 m in 100 drives.
     assert!(worst < 0.165 && farthest < 0.45, "{worst}, {farthest} m");
 }
 
 #[test]
-fn people_who_walk_about_are_not_in_the_map() {
-    // docs/maps.md: .016 and .031 m, no wall that is none.
+fn moving_people_are_not_in_the_map() {
+    // docs/maps.md: .016 and .031 m, no false walls.
     for (name, most) in [("columbia", 0.02), ("berlin", 0.038)] {
         let Some(map) = shared(&format!("data/maps/{name}.yaml")) else { return };
         let folder = tempfile::tempdir().unwrap();

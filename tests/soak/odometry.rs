@@ -1,12 +1,12 @@
-//! Odometry through what spoils it: fast motion during a sweep, lost scans, wrong wheels, and nothing at all for a long time.
+//! Odometry under disturbances: fast motion during a sweep, lost scans, wrong wheel odometry, and a long rest.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::common::Laser;
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::anytime::interrupt::Never;
-use anytime_scan_matcher::app::{Answering as _, App};
+use anytime_scan_matcher::anytime::interrupt::NeverInterrupt;
+use anytime_scan_matcher::app::{App, ScanProcessor as _};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::knobs::Seconds;
@@ -40,8 +40,8 @@ fn settings(speed: f64, scan_duration: f64) -> Settings {
     settings
 }
 
-/// A drive round the corridor: its messages in turn, scans with where the base was when they were taken.
-fn drive(settings: &Settings, mut take: impl FnMut(Pose2, SimulatedMessage)) {
+/// A drive around the corridor: its messages in order, with the true pose of the base at each scan.
+fn drive(settings: &Settings, mut handle: impl FnMut(Pose2, SimulatedMessage)) {
     let mut truths = Vec::new();
     let scene = Scene::built_in(BuiltIn::Corridor).unwrap();
     let played: Result<(), std::convert::Infallible> = simulate(settings, &scene, |_, message| {
@@ -53,13 +53,13 @@ fn drive(settings: &Settings, mut take: impl FnMut(Pose2, SimulatedMessage)) {
             SimulatedMessage::Scan(scan) => truths.iter().rev().find(|(stamp, _)| *stamp == Stamp::from(scan.header.stamp)),
             SimulatedMessage::Mount(_) | SimulatedMessage::Odometry(_) => None,
         };
-        take(truth.map(|(_, truth)| *truth).unwrap_or_default(), message);
+        handle(truth.map(|(_, truth)| *truth).unwrap_or_default(), message);
         Ok(())
     });
     played.unwrap();
 }
 
-/// The answers to a drive's scans, each with where the base was. What is heard may be changed on the way.
+/// The answers to a drive's scans, each with the true pose of the base. Messages can be modified before they are handled.
 fn answers(
     settings: &Settings,
     app: &mut App,
@@ -77,14 +77,14 @@ fn answers(
         SimulatedMessage::Scan(mut scan) => {
             if hears(&mut scan) {
                 answers.push((truth, app.on_scan(&scan, Duration::ZERO).registration));
-                app.maintain(&Never);
+                app.maintain(&NeverInterrupt);
             }
         }
     });
     answers
 }
 
-/// Root mean square of the position error, m, over a drive: relative to the first pose, not aligned.
+/// RMS of the position error over a drive, relative to the first pose, without alignment, m.
 fn error(answers: &[(Pose2, Registration)]) -> f64 {
     let start = answers[0].0;
     let of = |(truth, answer): &(Pose2, Registration)| start.between(truth).between(&answer.map_from_base()).distance();
@@ -92,24 +92,24 @@ fn error(answers: &[(Pose2, Registration)]) -> f64 {
 }
 
 #[test]
-fn motion_during_the_sweep_is_taken_out() {
+fn motion_during_a_sweep_is_compensated() {
     let settings = settings(7.0, 0.02);
     let of = |knob| error(&answers(&settings, &mut app(&[knob]), |_| true, |_| {}));
     let (with, without) = (of("odometry.deskew=true"), of("odometry.deskew=false"));
     println!("7 m/s, 3 rad/s, sweeps of 20 ms: {with:.4} m, without deskewing {without:.4} m");
     assert!(with < 0.0062 && with < without / 3.0, "{with} {without}");
-    // The driver does not say, the parameter does.
+    // The driver does not give the sweep time, the parameter does.
     let silent = |scan: &mut LaserScan| {
         scan.time_increment = 0.0;
         true
     };
-    let told = error(&answers(&settings, &mut app(&["odometry.scan_duration=20ms"]), silent, |_| {}));
-    assert!(told < without / 3.0, "{told} {without}");
+    let by_parameter = error(&answers(&settings, &mut app(&["odometry.scan_duration=20ms"]), silent, |_| {}));
+    assert!(by_parameter < without / 3.0, "{by_parameter} {without}");
 }
 
-/// A prediction is as good after a thousandth of a second as after a twentieth.
+/// Predictions must be as good after a thousandth of a second as after a twentieth.
 #[test]
-fn scans_alone_will_do_at_any_rate() {
+fn scans_alone_suffice_at_any_rate() {
     for (rate, seconds) in [(20.0, 20.0), (40.0, 20.0), (100.0, 20.0), (200.0, 12.0), (1000.0, 6.0)] {
         let mut settings = settings(6.0, 0.0);
         (settings.lidar.rate, settings.drive.duration) = (rate, Seconds(seconds));
@@ -118,7 +118,7 @@ fn scans_alone_will_do_at_any_rate() {
             SimulatedMessage::Mount(mount) => app.on_transforms(&mount).unwrap(),
             SimulatedMessage::Scan(scan) => {
                 answers.push((truth, app.on_scan(&scan, Duration::ZERO).registration));
-                app.maintain(&Never);
+                app.maintain(&NeverInterrupt);
             }
             SimulatedMessage::Odometry(_) | SimulatedMessage::Truth { .. } => {}
         });
@@ -144,7 +144,7 @@ fn one_scan_in_five_may_be_lost() {
 }
 
 #[test]
-fn people_and_rivals_are_no_places_to_go_by() {
+fn people_and_cars_do_not_drag_the_pose_along() {
     let mut settings = settings(3.0, 0.0);
     settings.drive.duration = Seconds(40.0);
     let mut of = |walkers, rivals| {
@@ -155,16 +155,16 @@ fn people_and_rivals_are_no_places_to_go_by() {
         };
         let mut errors: Vec<f64> = (0..7).map(drive).collect();
         errors.sort_by(f64::total_cmp);
-        println!("seven drives among {walkers} people and {rivals} rivals: {errors:.4?} m");
+        println!("seven drives among {walkers} people and {rivals} cars: {errors:.4?} m");
         errors[3]
     };
-    let (nobody, people, rivals) = (of(0, 0), of(60, 0), of(35, 2));
-    assert!(people < 0.0122 && people < 2.5 * nobody, "{people} {nobody}");
+    let (empty, people, rivals) = (of(0, 0), of(60, 0), of(35, 2));
+    assert!(people < 0.0122 && people < 2.5 * empty, "{people} {empty}");
     assert!(rivals < 0.0207, "{rivals}");
 }
 
 #[test]
-fn a_wheel_that_spins_is_survived() {
+fn a_spinning_wheel_is_tolerated() {
     let settings = settings(3.0, 0.0);
     let (mut count, spin) = (0, Pose2::new(0.0, 0.0, 60_f64.to_radians()));
     let spun = |odometry: &mut Odometry| {
@@ -180,27 +180,27 @@ fn a_wheel_that_spins_is_survived() {
 }
 
 #[test]
-fn wheels_that_count_forward_while_the_robot_backs_are_not_believed() {
+fn odometry_with_the_wrong_sign_is_rejected() {
     let settings = settings(3.0, 0.0);
-    let (mut count, mut before, mut told) = (0, None, Pose2::IDENTITY);
-    // From the fourth second to the eighth every step is told the other way round.
+    let (mut count, mut before, mut reported) = (0, None, Pose2::IDENTITY);
+    // From the fourth to the eighth second every step is reported with the wrong sign.
     let backwards = |odometry: &mut Odometry| {
         let pose = anytime_scan_matcher::app::planar_pose(&odometry.pose.pose).unwrap();
         let step = before.replace(pose).map_or(pose, |before| before.between(&pose));
         count += 1;
         let is_wrong = (200..400).contains(&count);
-        told = told * if is_wrong { Pose2 { x: -step.x, ..step } } else { step };
-        odometry.pose.pose = told.into();
+        reported = reported * if is_wrong { Pose2 { x: -step.x, ..step } } else { step };
+        odometry.pose.pose = reported.into();
     };
     let mut app = app(&[]);
     let error = error(&answers(&settings, &mut app, |_| true, backwards));
-    let disbelieved = app.odometry_counters().odometry_disbelieved;
-    println!("four seconds of odometry the wrong way: {error:.4} m, not believed {disbelieved} times");
+    let rejected = app.odometry_counters().odometry_rejected;
+    println!("four seconds of odometry with the wrong sign: {error:.4} m, rejected {rejected} times");
     assert!(error < 0.0023, "{error}");
-    assert!((150..=170).contains(&disbelieved), "{disbelieved}");
+    assert!((150..=170).contains(&rejected), "{rejected}");
 }
 
-/// Laps with a laser whose beams are a little farther apart than it says, so that every turn is measured too small.
+/// Laps with a laser whose beams are a little farther apart than it reports, so that every rotation is measured too small.
 fn laps_of_a_laser_that_errs(app: &mut App) -> Vec<(Pose2, Registration)> {
     let mut settings = settings(3.0, 0.0);
     settings.drive.duration = Seconds(60.0);
@@ -213,7 +213,7 @@ fn laps_of_a_laser_that_errs(app: &mut App) -> Vec<(Pose2, Registration)> {
     answers(&settings, app, err, |_| {})
 }
 
-/// How far apart one place is on the map when it is passed a lap later, m: mean over the last lap.
+/// Distance between the map poses of the same place in successive laps, m: mean over the last lap.
 fn drift_of_a_lap(answers: &[(Pose2, Registration)]) -> f64 {
     let passed_again = |(i, (truth, answer)): (usize, &(Pose2, Registration))| {
         let is_near = |(earlier, _): &&(Pose2, Registration)| earlier.between(truth).distance() < 0.2;
@@ -222,12 +222,12 @@ fn drift_of_a_lap(answers: &[(Pose2, Registration)]) -> f64 {
         Some(moved.between(&seen).distance())
     };
     let last_lap: Vec<f64> = answers.iter().enumerate().skip(answers.len() * 3 / 4).filter_map(passed_again).collect();
-    assert!(last_lap.len() > 50, "the drive is no more than a lap");
+    assert!(last_lap.len() > 50, "the drive is not longer than a lap");
     last_lap.iter().sum::<f64>() / last_lap.len() as f64
 }
 
 #[test]
-fn places_seen_before_are_recognised_and_the_odometry_never_jumps() {
+fn previously_visited_places_are_recognised_and_the_odometry_never_jumps() {
     let mut with = app(&[]);
     let answers = laps_of_a_laser_that_errs(&mut with);
     let without = drift_of_a_lap(&laps_of_a_laser_that_errs(&mut app(&["odometry.close_loops=false"])));
@@ -243,7 +243,7 @@ fn places_seen_before_are_recognised_and_the_odometry_never_jumps() {
 }
 
 #[test]
-fn at_rest_for_ten_minutes_nothing_moves() {
+fn the_pose_does_not_drift_in_ten_minutes_at_rest() {
     let mut random = Pcg64::seed_from_u64(5);
     let laser = Laser::with_field_of_view(270.0, 361);
     let mut app = app(&[]);
@@ -264,7 +264,7 @@ fn at_rest_for_ten_minutes_nothing_moves() {
     assert_eq!(app.odometry_counters().keyframes, 1);
 }
 
-/// Scans of a drive round the corridor, each with where it was taken, and the transform of the laser's mount.
+/// Scans of a drive around the corridor, each with its true pose, and the transform of the laser's mount.
 fn scans(settings: &Settings) -> (TFMessage, Vec<(Pose2, LaserScan)>) {
     let (mut scans, mut mount) = (Vec::new(), TFMessage::default());
     drive(settings, |truth, message| match message {
@@ -276,7 +276,7 @@ fn scans(settings: &Settings) -> (TFMessage, Vec<(Pose2, LaserScan)>) {
 }
 
 #[test]
-fn a_robot_that_is_carried_off_drives_on_where_it_is_put_down() {
+fn a_kidnapped_robot_continues_from_its_last_pose() {
     let mut settings = settings(3.0, 0.0);
     settings.drive.duration = Seconds(36.0);
     settings.lidar.rate = 100.0;
@@ -291,11 +291,11 @@ fn a_robot_that_is_carried_off_drives_on_where_it_is_put_down() {
                 let mut scan = scan.clone();
                 scan.header.stamp = Stamp::from_seconds(100.0 + 0.01 * i as f64).into();
                 let registration = app.on_scan(&scan, Duration::ZERO).registration;
-                app.maintain(&Never);
+                app.maintain(&NeverInterrupt);
                 (*truth, registration.odom_from_base)
             })
             .collect();
-        // The moment itself, and what comes to light only later, left out.
+        // Leave out the kidnapping itself, and cases that become visible only later.
         let settled = &answers[550..];
         let (truth, found) = settled[0];
         let worst = settled.iter().map(|(t, f)| truth.between(t).between(&found.between(f)).distance()).fold(0.0, f64::max);
@@ -303,6 +303,6 @@ fn a_robot_that_is_carried_off_drives_on_where_it_is_put_down() {
             lost.push((from, to, worst));
         }
     }
-    println!("carried off without being told, by scans alone: drove on wrongly {} of 64 times: {lost:?}", lost.len());
+    println!("kidnapped, by scans alone: continued wrongly {} of 64 times: {lost:?}", lost.len());
     assert!(lost.is_empty(), "{lost:?}");
 }

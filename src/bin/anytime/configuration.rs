@@ -1,4 +1,4 @@
-//! The arguments by which every subcommand takes its knobs.
+//! The arguments for the parameters, shared by the subcommands.
 
 use std::path::{Path, PathBuf};
 
@@ -7,16 +7,16 @@ use clap::Args;
 
 #[derive(Args)]
 pub(crate) struct Configuration {
-    /// Parameters from a YAML file, the same as the node's
+    /// Read parameters from a YAML file, as the node does
     #[arg(long, value_name = "FILE.yaml")]
     config: Option<PathBuf>,
-    /// Set one parameter, such as `matching.max_iterations=8`; may be given many times
+    /// Set one parameter, such as `matching.max_iterations=8`; may be repeated
     #[arg(long, value_name = "NAME=VALUE")]
     set: Vec<String>,
 }
 
 impl Configuration {
-    /// The file, if there is one.
+    /// The YAML file, if one is given.
     pub(crate) fn file(&self) -> Option<&Path> {
         self.config.as_deref()
     }

@@ -12,7 +12,7 @@ use anytime_scan_matcher::drive::EstimatorKind;
 use anytime_scan_matcher::drive::course::Course;
 use anytime_scan_matcher::drive::flaws::FlawKnobs;
 use anytime_scan_matcher::drive::processor::Load;
-use anytime_scan_matcher::drive::study::{Late, Study, to_text};
+use anytime_scan_matcher::drive::study::{Replanning, Study, to_text};
 use anytime_scan_matcher::knobs::{KnobGroup as _, KnobValue, Seconds, Value};
 use anytime_scan_matcher::simulation::lidar::LidarKnobs;
 use anytime_scan_matcher::simulation::odometer::OdometerKnobs;
@@ -25,51 +25,53 @@ use crate::outcome::usage;
 use crate::progress;
 use crate::simulation_flags::check_world;
 
-/// Drive a simulated racecar by its own pose estimates: simulator, estimator and follower in one process, on a modelled clock
+/// Drive a simulated racecar closed-loop on its own pose estimates: simulator, estimator and path follower in one process, on a
+/// simulated clock
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// Where to drive: corridor, room, or the YAML file of a map
+    /// The environment: corridor, room, or the YAML file of a map
     #[arg(long, default_value = "corridor")]
     world: String,
-    /// The path: a CSV file of waypoints x, y[, speed] [default: a way round the world is planned]
+    /// The path: a CSV file of waypoints x, y[, speed] [default: a closed path is planned]
     #[arg(long, value_name = "FILE.csv")]
     path: Option<PathBuf>,
-    /// Laps of each drive
+    /// Laps per drive
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     laps: u32,
-    /// Top speed, m/s; several, separated by commas, are all driven
+    /// Top speed, m/s; several values, separated by commas, are each driven
     #[arg(long, default_value = "7", value_delimiter = ',')]
     speed: Vec<f64>,
-    /// Where the poses come from: `truth`, `scan_matcher` or `particle_filter`
+    /// The source of the poses: `truth`, `scan_matcher` or `particle_filter`
     #[arg(long, default_value = "scan_matcher", value_parser = |text: &str| EstimatorKind::from_value(&text.into()))]
     estimator: EstimatorKind,
     #[arg(long, default_value = FollowerKnobs::default().law.name(), hide_default_value = true, value_parser = |text: &str| Law::from_value(&text.into()), help = help::<FollowerKnobs>("law"))]
     law: Law,
-    /// How contracts are chosen: `completion`, `iterations:N`, `fixed:TIME[,METRES]`, `table`, `oracle`; several may be given
+    /// How contracts are chosen: `completion`, `iterations:N`, `fixed:TIME[,METRES]`, `table`, `oracle`; may be repeated
     #[arg(long, default_value = "completion")]
     policy: Vec<Policy>,
-    /// Slow-down of the machine against these costs (`8` or `x8`); several, separated by commas, are all driven
+    /// Slow-down of the machine relative to the costs (`8` or `x8`); several values, separated by commas, are each driven
     #[arg(long, default_value = "1", value_delimiter = ',', value_parser = factor)]
     slowdown: Vec<f64>,
-    /// Other programs take the processor for 0.4 s in every 1.2 s: all work then takes so many times as long (`x20`); several, separated by commas
+    /// Load by other programs for 0.4 s in every 1.2 s: during a burst all work takes this many times as long (`x20`); several
+    /// values, separated by commas, are each driven
     #[arg(long, default_value = "1", value_delimiter = ',', value_parser = factor)]
     bursts: Vec<f64>,
-    /// What answers cost on the machine: a file of `contract.cost_file` [default: as on the machine of docs/figures.md]
+    /// Costs of the estimator: a file of `contract.cost_file` [default: those of the machine of docs/figures.md]
     #[arg(long, value_name = "FILE.yaml")]
     costs: Option<PathBuf>,
-    /// Drives of each case
+    /// Number of drives per case
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     seeds: u32,
     /// Seed of the first drive; each further drive adds 1
     #[arg(long, default_value_t = 1)]
     seed: u32,
-    /// Rate at which a planner publishes new paths, Hz; 0: one path, there from the start
+    /// Rate at which a planner publishes new paths, Hz; 0: one path, available from the start
     #[arg(long, default_value_t = 0.0)]
     replan: f64,
-    /// Delay of its paths, such as 2s
+    /// Delay of the planner's paths, such as 2s
     #[arg(long, default_value = "0", value_parser = seconds, allow_hyphen_values = true)]
     path_delay: f64,
-    /// Length of its paths, m
+    /// Length of the planner's paths, m
     #[arg(long, default_value_t = 40.0)]
     horizon: f64,
     #[arg(long, value_parser = value, help = help::<FlawKnobs>("steering_offset"))]
@@ -78,13 +80,13 @@ pub(crate) struct Arguments {
     steering_scale: Option<Value>,
     #[arg(long, value_parser = value, help = help::<FlawKnobs>("speed_scale"))]
     speed_scale: Option<Value>,
-    /// Beams of the laser
+    /// Number of beams of the laser
     #[arg(long, default_value_t = LidarKnobs::default().beams, value_parser = clap::value_parser!(u32).range(10..=10_000))]
     beams: u32,
-    /// Set a parameter of the follower, such as `lookahead_time=0.3` (all: `path_follower --help`); may be given many times
+    /// Set a parameter of the path follower, such as `lookahead_time=0.3` (all: `path_follower --help`); may be repeated
     #[arg(long, value_name = "NAME=VALUE")]
     follow: Vec<String>,
-    /// Folder for report.html, figures.json and pictures
+    /// The folder for report.html, figures.json and plots
     #[arg(long)]
     out: Option<PathBuf>,
     /// Print one JSON object
@@ -106,13 +108,13 @@ fn seconds(text: &str) -> Result<f64, String> {
     let Ok(value) = value(text);
     Seconds::from_value(&value)
         .map(|seconds| seconds.0)
-        .and_then(|seconds| if seconds >= 0.0 { Ok(seconds) } else { Err("expected no less than 0".into()) })
+        .and_then(|seconds| if seconds >= 0.0 { Ok(seconds) } else { Err("expected at least 0".into()) })
 }
 
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let mut config = arguments.configuration.load()?;
     check_files(arguments)?;
-    // Drives share the cores, a core each.
+    // Drives run in parallel, one core each.
     config.localization.threads = 1;
     check_world(&arguments.world)?;
     let course = Course::load(&arguments.world, arguments.path.as_deref())?;
@@ -149,7 +151,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     Ok(if arguments.json { study.to_json(&outcomes).to_string() } else { to_text(&outcomes) })
 }
 
-/// The defaults, the law, and what `--follow` sets. Without the emergency brake, unless it is asked for.
+/// The defaults with the control law and the values of `--follow`. The emergency brake is off unless `--follow` sets it.
 fn follower(arguments: &Arguments) -> anyhow::Result<FollowerKnobs> {
     let mut knobs = FollowerKnobs { law: arguments.law, min_time_to_collision: Seconds(0.0), ..FollowerKnobs::default() };
     for assignment in &arguments.follow {
@@ -159,7 +161,7 @@ fn follower(arguments: &Arguments) -> anyhow::Result<FollowerKnobs> {
         match knobs.set(name, &value) {
             Some(Ok(())) => {}
             Some(Err(problem)) => return Err(usage(format!("--follow {name}: {problem}"))),
-            None => return Err(usage(format!("--follow {name}: there is no such parameter of the follower"))),
+            None => return Err(usage(format!("--follow {name}: the path follower has no such parameter"))),
         }
     }
     if let Some(speed) = arguments.speed.iter().find(|speed| !(0.1..=20.0).contains(*speed)) {
@@ -176,12 +178,12 @@ fn flaws(arguments: &Arguments) -> anyhow::Result<FlawKnobs> {
     Ok(knobs)
 }
 
-fn replanning(arguments: &Arguments) -> anyhow::Result<Option<Late>> {
+fn replanning(arguments: &Arguments) -> anyhow::Result<Option<Replanning>> {
     let &Arguments { replan, path_delay, horizon, .. } = arguments;
     if !((0.0..=1000.0).contains(&replan) && (1.0..=1000.0).contains(&horizon)) {
-        return Err(usage("--replan takes 0 to 1000, --horizon 1 to 1000"));
+        return Err(usage("--replan accepts 0 to 1000, --horizon 1 to 1000"));
     }
-    Ok((replan > 0.0).then_some(Late { rate: replan, delay: path_delay, horizon }))
+    Ok((replan > 0.0).then_some(Replanning { rate: replan, delay: path_delay, horizon }))
 }
 
 fn check_files(arguments: &Arguments) -> anyhow::Result<()> {
@@ -195,7 +197,7 @@ fn check_files(arguments: &Arguments) -> anyhow::Result<()> {
     files.check()
 }
 
-/// What was typed, but for the place of the program.
+/// The command line, without the directory of the program.
 fn command() -> String {
     let words = env::args().skip(1).map(|word| if word.contains(' ') { format!("'{word}'") } else { word });
     ["anytime".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")

@@ -10,27 +10,27 @@ use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::io::{map_file, relations, simulated_bag, tum};
 use clap::Args;
 
-use crate::input_flags::{Files, picture};
-use crate::outcome::shown;
+use crate::input_flags::{Files, svg_path};
+use crate::outcome::output_or_failure;
 use crate::terminal;
 
-/// Compare a trajectory with the truth (ATE, RPE, relations), or a map with the true one
+/// Compare a trajectory with the ground truth (ATE, RPE, relations), or a map with the true one
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// Trajectory: lines of `timestamp x y z qx qy qz qw` (TUM) or `timestamp x y theta`
+    /// The trajectory: lines of `timestamp x y z qx qy qz qw` (TUM) or `timestamp x y theta`
     #[arg(required_unless_present = "map", requires = "reference")]
     trajectory: Option<PathBuf>,
-    /// Instead of a trajectory: a map, a YAML file of `map_server`
+    /// Evaluate a map instead of a trajectory: a YAML file of `map_server`
     #[arg(long, value_name = "A.yaml", requires = "truth_map", conflicts_with_all = ["trajectory", "reference", "plot"])]
     map: Option<PathBuf>,
     /// The true map
     #[arg(long, value_name = "B.yaml", requires = "map")]
     truth_map: Option<PathBuf>,
-    /// Align the map with the true one first; it may be off by up to 2 m and a few degrees
+    /// Align the map with the true one first; its offset may be up to 2 m and a few degrees
     #[arg(long, requires = "map")]
     align: bool,
-    /// Count as missed only what the rays of this simulated drive (its bag, by anytime simulate) truly met; without it, every wall that the map
-    /// says it is free beside
+    /// Count as missed only walls that the rays of this simulated drive (a bag of anytime simulate) hit; without it, every true
+    /// wall next to free space of the map
     #[arg(long, value_name = "X.bag", requires = "map")]
     drive: Option<PathBuf>,
     #[command(flatten)]
@@ -38,13 +38,13 @@ pub(crate) struct Arguments {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-    /// Draw the trajectory (and the truth and the errors) to this SVG file
-    #[arg(long, value_name = "OUT.svg", value_parser = picture)]
+    /// Plot the trajectory (with the truth and the errors) to this SVG file
+    #[arg(long, value_name = "OUT.svg", value_parser = svg_path)]
     plot: Option<PathBuf>,
-    /// Length of path over which RPE measures drift, m
+    /// Path length over which RPE measures drift, m
     #[arg(long, value_name = "M", default_value_t = Comparison::default().rpe_distance, value_parser = positive)]
     rpe_distance: f64,
-    /// Largest time between two poses that are compared, s
+    /// Maximum time difference of two poses that are compared, s
     #[arg(long, value_name = "S", default_value_t = Comparison::default().max_dt, value_parser = positive)]
     max_dt: f64,
 }
@@ -52,10 +52,10 @@ pub(crate) struct Arguments {
 #[derive(Args)]
 #[group(id = "reference", multiple = true)]
 struct Reference {
-    /// True trajectory, same format
+    /// The true trajectory, in the same format
     #[arg(long, value_name = "X.tum")]
     truth: Option<PathBuf>,
-    /// True motions: lines of `t1 t2 x y z roll pitch yaw` (Kuemmerle et al. 2009)
+    /// True relative motions: lines of `t1 t2 x y z roll pitch yaw` (Kuemmerle et al. 2009)
     #[arg(long, value_name = "X.relations")]
     relations: Option<PathBuf>,
 }
@@ -77,13 +77,13 @@ fn compare_maps(map: &Path, truth: &Path, arguments: &Arguments) -> anyhow::Resu
     let files =
         Files::default().read_map("--map", Some(map)).read_map("--truth-map", Some(truth)).read("--drive", drive.as_deref());
     let world = map_file::read(truth)?;
-    let met = drive.as_deref().map(|drive| -> anyhow::Result<_> { Ok(simulated_bag::cells_met(&Bag::open(drive)?, &world)?) });
-    let found = MapComparison::new(&map_file::read(map)?, &world, *align, met.transpose()?.as_deref());
-    let problem = found.to_truth.is_none().then(|| {
+    let met = drive.as_deref().map(|drive| -> anyhow::Result<_> { Ok(simulated_bag::cells_hit(&Bag::open(drive)?, &world)?) });
+    let comparison = MapComparison::new(&map_file::read(map)?, &world, *align, met.transpose()?.as_deref());
+    let problem = comparison.to_truth.is_none().then(|| {
         let (map, truth) = (map.display(), truth.display());
         format!("{map} or {truth} has no occupied cell: there is nothing to compare")
     });
-    shown(files.shown(*json, || found.to_json(), || found.to_string()), problem)
+    output_or_failure(files.output(*json, || comparison.to_json(), || comparison.to_string()), problem)
 }
 
 fn compare_trajectory(trajectory: &Path, arguments: &Arguments) -> anyhow::Result<String> {
@@ -102,10 +102,10 @@ fn compare_trajectory(trajectory: &Path, arguments: &Arguments) -> anyhow::Resul
     if let Some(path) = plot {
         trajectory_plot(path, &estimate, truth.as_ref(), None, *max_dt)?;
     }
-    let none_met = report.relations.as_ref().is_some_and(RelationErrors::none_met);
-    let problem = none_met.then(|| {
+    let all_beyond = report.relations.as_ref().is_some_and(RelationErrors::all_beyond_max_dt);
+    let problem = all_beyond.then(|| {
         let path = reference.relations.as_deref().unwrap_or(trajectory).display();
-        format!("no relation of {path} has a pose within {max_dt} s of its stamps: is it of another log, or the clock another?")
+        format!("no relation of {path} has a pose within {max_dt} s of its stamps: is it from another log, or on another clock?")
     });
-    shown(files.shown(*json, || report.to_json(), || report.to_text(terminal::width())), problem)
+    output_or_failure(files.output(*json, || report.to_json(), || report.to_text(terminal::width())), problem)
 }

@@ -9,7 +9,7 @@ use clap::Args;
 
 use crate::{progress, terminal};
 
-/// Show what a bag contains: topics, rates, scan geometry, problems found
+/// Show the contents of a bag: topics, rates, scan geometry, and problems
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// The bag

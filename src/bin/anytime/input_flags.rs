@@ -1,4 +1,4 @@
-//! The arguments by which a bag is replayed: topics, truth, clock and knobs.
+//! The arguments for reading a bag: topics, truth, clock and parameters.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -11,19 +11,19 @@ use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock, VirtualClock};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::io::bag::{Bag, BagError};
 use anytime_scan_matcher::io::map_file;
-use anytime_scan_matcher::output::{Role, check_roles};
+use anytime_scan_matcher::output::{NamedPath, check_no_overwrite};
 use anytime_scan_matcher::replay::Topics;
 use clap::{Args, ValueEnum};
 use serde_json::Value;
 
 use crate::configuration::Configuration;
 
-/// Time that passes on the virtual clock at each reading.
+/// Time by which the virtual clock advances at each reading.
 const VIRTUAL_TICK: Duration = Duration::from_micros(10);
 
 #[derive(Args)]
 pub(crate) struct InputFlags {
-    /// Topic of the laser scans, or of point clouds: its type tells [default: /scan; with `cloud.input` /cloud]
+    /// Topic of the laser scans or point clouds [default: /scan; with `cloud.input` /cloud]
     #[arg(long)]
     scan_topic: Option<String>,
     /// Topic of the wheel odometry [default: /odom, if the bag has it]
@@ -35,10 +35,10 @@ pub(crate) struct InputFlags {
     /// Ignore odometry and IMU, even if the bag has them
     #[arg(long, conflicts_with_all = ["odom_topic", "imu_topic"])]
     scan_only: bool,
-    /// True poses to compare with: a TUM file, or a topic of the bag
+    /// True poses for comparison: a TUM file, or a topic of the bag
     #[arg(long, value_name = "FILE|TOPIC")]
     pub(crate) truth: Option<String>,
-    /// Clock of the contract; with `virtual`, two runs write identical files
+    /// Clock of the contract; with `virtual`, repeated runs write identical files
     #[arg(long, value_enum, default_value = "monotonic")]
     pub(crate) clock: ClockChoice,
     #[command(flatten)]
@@ -47,8 +47,8 @@ pub(crate) struct InputFlags {
 
 impl InputFlags {
     pub(crate) fn topics(&self, bag: &Bag, config: &Config) -> Result<Topics, BagError> {
-        let usual = if config.cloud.input { "/cloud" } else { "/scan" };
-        let topics = Topics::resolve(bag, self.scan_topic.as_deref().unwrap_or(usual), self.odom_topic.as_deref())?;
+        let default = if config.cloud.input { "/cloud" } else { "/scan" };
+        let topics = Topics::resolve(bag, self.scan_topic.as_deref().unwrap_or(default), self.odom_topic.as_deref())?;
         if self.scan_only { Ok(topics.scan_only()) } else { topics.with_imu(bag, self.imu_topic.as_deref()) }
     }
 }
@@ -56,8 +56,8 @@ impl InputFlags {
 /// The files that a run reads and writes.
 #[derive(Default)]
 pub(crate) struct Files<'a> {
-    inputs: Vec<Role<'a>>,
-    outputs: Vec<Role<'a>>,
+    inputs: Vec<NamedPath<'a>>,
+    outputs: Vec<NamedPath<'a>>,
 }
 
 impl<'a> Files<'a> {
@@ -66,7 +66,7 @@ impl<'a> Files<'a> {
         self
     }
 
-    /// Where the path is that of a map, its image is read, too.
+    /// Adds a map and its image.
     pub(crate) fn read_map(mut self, role: &'a str, path: Option<&'a Path>) -> Self {
         self.inputs.extend(path.and_then(map_file::image_of).map(|image| ("the image of the map", image.into())));
         self.read(role, path)
@@ -77,8 +77,8 @@ impl<'a> Files<'a> {
         self
     }
 
-    /// What the flags name, and the parameters.
-    pub(crate) fn of(self, flags: &'a InputFlags, config: &'a Config) -> Self {
+    /// Adds the files named by the flags and the parameters.
+    pub(crate) fn with_flags(self, flags: &'a InputFlags, config: &'a Config) -> Self {
         let path = |name: &'a Option<String>| name.as_deref().map(Path::new);
         self.read("--truth", path(&flags.truth))
             .read("--config", flags.configuration.file())
@@ -86,24 +86,24 @@ impl<'a> Files<'a> {
             .read_map("localization.map", path(&config.localization.map))
     }
 
-    /// What is printed of a run that has written its files: `value` as JSON, or `text`. Where the files are, standard error says.
-    pub(crate) fn shown(&self, as_json: bool, value: impl FnOnce() -> Value, text: impl FnOnce() -> String) -> String {
+    /// The output of a run that has written its files: `value` as JSON, or `text`. Lists the written files on standard error.
+    pub(crate) fn output(&self, as_json: bool, value: impl FnOnce() -> Value, text: impl FnOnce() -> String) -> String {
         self.outputs.iter().for_each(|(_, path)| eprintln!("wrote {}", path.display()));
         if as_json { value().to_string() } else { text() }
     }
 
-    /// Refuses an output that is an input, or another output.
+    /// Rejects an output that is also an input or another output.
     pub(crate) fn check(&self) -> anyhow::Result<()> {
-        Ok(check_roles(&self.inputs, &self.outputs)?)
+        Ok(check_no_overwrite(&self.inputs, &self.outputs)?)
     }
 }
 
-/// The name of a picture to draw.
-pub(crate) fn picture(text: &str) -> Result<PathBuf, String> {
+/// Parses the name of an SVG file.
+pub(crate) fn svg_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     match path.extension().and_then(OsStr::to_str) {
         Some(kind) if !kind.eq_ignore_ascii_case("svg") => {
-            Err(format!("only SVG is drawn, not {kind}: give a name that ends in .svg"))
+            Err(format!("only SVG plots are supported, not {kind}: use a name that ends in .svg"))
         }
         _ => Ok(path),
     }
@@ -113,10 +113,10 @@ pub(crate) fn picture(text: &str) -> Result<PathBuf, String> {
 pub(crate) enum ClockChoice {
     /// Wall clock
     Monotonic,
-    /// Processor time of the matching, as on an idle machine
+    /// Processor time of the computation, as on an idle machine
     #[cfg(target_os = "linux")]
     Processor,
-    /// Advances with each reading: the same on every machine
+    /// Advances by a fixed step at each reading: the same on every machine
     Virtual,
 }
 
@@ -130,7 +130,7 @@ impl ClockChoice {
         }
     }
 
-    /// Processor time is that of one thread: it must do all the work.
+    /// Adapts the configuration: processor time is measured for one thread, which must do all the work.
     pub(crate) fn prepare(self, config: &mut Config) {
         if self.name() == "processor" {
             config.localization.threads = 1;

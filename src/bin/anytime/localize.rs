@@ -16,14 +16,14 @@ use anytime_scan_matcher::io::map_file;
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::knobs::{KnobValue, Value};
 use anytime_scan_matcher::output::OutputFile;
-use anytime_scan_matcher::replay::localize::{Answer, LocalizationSummary, localize};
+use anytime_scan_matcher::replay::localize::{LocalizationSummary, ScanOutcome, localize};
 use anytime_scan_matcher::replay::row::BeliefRow;
 use anytime_scan_matcher::replay::truth;
 use clap::Args;
 
 use crate::input_flags::{Files, InputFlags};
 use crate::knob_flags::value;
-use crate::outcome::{shown, usage};
+use crate::outcome::{output_or_failure, usage};
 use crate::progress;
 
 /// Localize the robot of a bag on a map with a particle filter
@@ -36,19 +36,19 @@ pub(crate) struct Arguments {
     /// Number of particles [default: `localization.particles`]
     #[arg(long)]
     particles: Option<u32>,
-    /// The initial pose is unknown: global localization
+    /// Localize globally: the initial pose is unknown
     #[arg(long, conflicts_with = "initial_pose")]
     global: bool,
-    /// Where the robot starts, m and rad [default: `localization.initial_pose`; else the first true pose; else the origin of the map]
+    /// Initial pose, m and rad [default: `localization.initial_pose`; else the first true pose; else the origin of the map]
     #[arg(long, value_name = "X,Y,YAW", value_parser = pose, allow_hyphen_values = true)]
     initial_pose: Option<Pose2>,
-    /// Time from a scan's arrival to its pose, such as 5ms; without a unit, seconds [default: `contract.time_budget`]
+    /// Time budget from a scan's arrival to its pose, such as 5ms; in seconds without a unit [default: `contract.time_budget`]
     #[arg(long, value_parser = value, allow_hyphen_values = true)]
     time_budget: Option<Value>,
-    /// Write the pose of every scan; `anytime profile` takes it for a truth
+    /// Write the pose of every scan to this file; `anytime profile` accepts it as ground truth
     #[arg(long, value_name = "OUT.tum")]
     tum: Option<PathBuf>,
-    /// Write a row of CSV for every scan
+    /// Write one CSV row per scan to this file
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
     /// Print one JSON object
@@ -69,7 +69,7 @@ fn pose(text: &str) -> Result<Pose2, String> {
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let mut config = configuration(arguments)?;
     let map = arguments.map.clone().or(config.localization.map.as_ref().map(PathBuf::from));
-    let map = map.ok_or_else(|| usage("there is no map: --map M.yaml, or the parameter localization.map"))?;
+    let map = map.ok_or_else(|| usage("no map is given: use --map M.yaml or the parameter localization.map"))?;
     files(arguments, &config).check()?;
     arguments.input.clock.prepare(&mut config);
     let clock = arguments.input.clock.clock();
@@ -79,15 +79,15 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let mut localizer = Localizer::new(map_file::read(&map)?, &config, Arc::clone(&clock))?;
     localizer.warm_up();
     if arguments.global {
-        localizer.spread();
+        localizer.start_globally();
     } else {
         let by_flag = arguments.initial_pose.map(|pose| ("--initial-pose", pose));
-        let told = by_flag.or(config.localization.initial_pose.map(|pose| ("localization.initial_pose", pose)));
-        if let Some((name, pose)) = &told {
-            localizer.check_place(pose).map_err(|error| usage(format!("{name}: {error}")))?;
+        let given = by_flag.or(config.localization.initial_pose.map(|pose| ("localization.initial_pose", pose)));
+        if let Some((name, pose)) = &given {
+            localizer.check_on_map(pose).map_err(|error| usage(format!("{name}: {error}")))?;
         }
         let first_truth = truth.as_ref().map(|truth| truth.ends().0.pose);
-        localizer.start_at(&told.map(|(_, pose)| pose).or(first_truth).unwrap_or_default(), None);
+        localizer.start_at(&given.map(|(_, pose)| pose).or(first_truth).unwrap_or_default(), None);
     }
     let mut records = Records::create(arguments, &config.frames.map_frame)?;
     let progress = progress::bar(bag.message_count(Some(&topics.all())))?;
@@ -105,17 +105,17 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let matched = matched.transpose()?;
     let errors = matched.and_then(|matched| summary.errors(&matched));
     let mut problems: Vec<String> = bag.problems().iter().map(ToString::to_string).chain(log.problems()).collect();
-    problems.extend(localizer.mount().1.reservation().map(Into::into));
+    problems.extend(localizer.mount().1.warning().map(Into::into));
     problems.extend(localizer.events_in_words().chain(summary.lost()));
-    let text = files(arguments, &config).shown(
+    let text = files(arguments, &config).output(
         arguments.json,
         || summary.to_json(errors.as_ref(), &problems),
         || summary.to_text(errors.as_ref(), &problems),
     );
-    shown(text, summary.failure())
+    output_or_failure(text, summary.failure())
 }
 
-/// The parameters, with what the flags set.
+/// The parameters, with those set by flags.
 fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
     let mut config = arguments.input.configuration.load()?;
     if let Some(particles) = arguments.particles {
@@ -127,7 +127,7 @@ fn configuration(arguments: &Arguments) -> anyhow::Result<Config> {
     Ok(config)
 }
 
-/// The summary, and the files asked for.
+/// The summary and the requested output files.
 struct Records {
     map_frame: String,
     tum: Option<TumWriter<OutputFile>>,
@@ -143,18 +143,18 @@ impl Records {
         Ok(Self { map_frame: map_frame.into(), tum, csv, summary: LocalizationSummary::default() })
     }
 
-    fn add(&mut self, answer: &Answer) -> anyhow::Result<()> {
+    fn add(&mut self, answer: &ScanOutcome) -> anyhow::Result<()> {
         let pose = match answer {
-            Answer::Fix(fix) => {
+            ScanOutcome::Fix(fix) => {
                 let row = BeliefRow::new(fix, &self.map_frame);
-                // A scan that could not be used has no row.
+                // A scan that was not used has no row.
                 if let (Some(csv), Some(_)) = (&mut self.csv, row.pose) {
                     csv.write(&row).context("cannot write the CSV file")?;
                 }
                 self.summary.add(&row)
             }
-            &Answer::Between { stamp, map_from_base } => {
-                self.summary.pass_over();
+            &ScanOutcome::Skipped { stamp, map_from_base } => {
+                self.summary.add_skipped();
                 Some(StampedPose { stamp, pose: map_from_base })
             }
         };
@@ -164,7 +164,7 @@ impl Records {
         Ok(())
     }
 
-    /// Puts the files in their places.
+    /// Completes the files.
     fn finish(self) -> anyhow::Result<LocalizationSummary> {
         if let Some(tum) = self.tum {
             tum.into_sink().commit().context("cannot write the trajectory")?;
@@ -178,7 +178,7 @@ impl Records {
 
 fn files<'a>(arguments: &'a Arguments, config: &'a Config) -> Files<'a> {
     Files::default()
-        .of(&arguments.input, config)
+        .with_flags(&arguments.input, config)
         .read("the bag", Some(&arguments.bag))
         .read("contract.cost_file", config.contract.cost_file.as_deref().map(Path::new))
         .read_map("--map", arguments.map.as_deref())

@@ -1,4 +1,4 @@
-//! The offline tool: needs no ROS at all.
+//! The offline tool; it does not need ROS.
 #![allow(clippy::print_stderr)] // a program speaks to its user
 
 mod configuration;
@@ -27,7 +27,7 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
-/// Match, simulate and evaluate laser scans from bags.
+/// Match, simulate and evaluate laser scans offline, without ROS
 #[derive(Parser)]
 #[command(name = "anytime", version)]
 struct Cli {
@@ -51,14 +51,14 @@ enum Command {
     Man(shell::Man),
 }
 
-/// A number below zero is refused for what it is, not taken for a flag.
+/// The command line interface. Negative numbers are parsed as values, not as flags, so that an error can name the value.
 fn command() -> clap::Command {
-    let takes_numbers = |argument: clap::Arg| {
+    let allow_negative = |argument: clap::Arg| {
         let takes_value = argument.get_action().takes_values();
         if takes_value { argument.allow_negative_numbers(true) } else { argument }
     };
     let names: Vec<String> = Cli::command().get_subcommands().map(|command| command.get_name().to_owned()).collect();
-    let with_numbers = |command: clap::Command, name| command.mut_subcommand(name, |command| command.mut_args(takes_numbers));
+    let with_numbers = |command: clap::Command, name| command.mut_subcommand(name, |command| command.mut_args(allow_negative));
     names.into_iter().fold(Cli::command(), with_numbers)
 }
 
@@ -88,14 +88,14 @@ fn main() -> ExitCode {
     match outcome {
         Ok(text) => print(&text, width),
         Err(error) => {
-            let shown = error.downcast_ref::<outcome::Hollow>().map(|hollow| print(&hollow.text, width));
+            let printed = error.downcast_ref::<outcome::FailureWithOutput>().map(|failure| print(&failure.text, width));
             eprintln!("anytime: {error:#}");
-            shown.filter(|code| *code != ExitCode::SUCCESS).unwrap_or_else(|| outcome::exit_code(&error))
+            printed.filter(|code| *code != ExitCode::SUCCESS).unwrap_or_else(|| outcome::exit_code(&error))
         }
     }
 }
 
-/// A reader that has seen enough (`anytime info X.bag | head`) is no failure.
+/// Prints the result. A reader that closes the pipe early (`anytime info X.bag | head`) is not an error.
 fn print(text: &str, width: Option<usize>) -> ExitCode {
     match writeln!(io::stdout().lock(), "{}", terminal::wrap(text.trim_end(), width)) {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {

@@ -13,7 +13,7 @@ use anytime_scan_matcher::evaluation::trajectory::StampedPose;
 use anytime_scan_matcher::geometry::Point;
 use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::io::contract_schedule::ContractSchedule;
-use anytime_scan_matcher::io::map_files::{MapFiles, MapPaths, ending};
+use anytime_scan_matcher::io::map_files::{MapFiles, MapPaths, append};
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::map::grid::OccupancyGrid;
 use anytime_scan_matcher::mapping::{EdgeKind, Mapper, SelfHits};
@@ -29,25 +29,26 @@ use clap::{Args, ValueEnum};
 use crate::input_flags::{Files, InputFlags};
 use crate::progress;
 
-/// Make a map from the scans of bags
+/// Build a map from the scans of bags
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// Bags, in the order they were recorded
+    /// The bags, in the order of recording
     #[arg(required = true)]
     bags: Vec<PathBuf>,
-    /// Writes PREFIX.yaml and PREFIX.pgm (the map), PREFIX.png (a picture with the path), PREFIX.graph (to extend it later)
+    /// Prefix of the files to write: PREFIX.yaml and PREFIX.pgm (the map), PREFIX.png (a picture with the path), PREFIX.graph (to
+    /// extend the map later)
     #[arg(long, value_name = "PREFIX")]
     out: PathBuf,
-    /// Write the final pose of every scan, after all corrections
+    /// Write the final pose of every scan to this file, after all corrections
     #[arg(long, value_name = "FINAL.tum")]
     tum: Option<PathBuf>,
-    /// Side of a cell, m
+    /// Size of a cell, m
     #[arg(long, value_name = "M", default_value_t = 0.05, value_parser = resolution)]
     resolution: f64,
-    /// Whether to detect rays that hit the robot itself, and leave them out
+    /// Detect and ignore rays that hit the robot itself
     #[arg(long, value_enum, default_value = "auto")]
     mask_self: MaskSelf,
-    /// Extend the map of this graph; the robot may start anywhere on it
+    /// Extend the map of this graph; the start pose of the robot on it may be unknown
     #[arg(long, value_name = "OLD.graph")]
     extend: Option<PathBuf>,
     /// Print one JSON object
@@ -57,22 +58,22 @@ pub(crate) struct Arguments {
     input: InputFlags,
 }
 
-/// Odometry that comes so much later than the scans it belongs to is used all the same: a little more than the lags looked for.
+/// Maximum delay of odometry behind its scans that is used, slightly more than the lags that are estimated.
 const ODOMETRY_AHEAD: Duration = Duration::from_millis(500);
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum MaskSelf {
-    /// Rays that do not change while the robot moves hit the robot: they are left out
+    /// Ignore rays whose ranges do not change while the robot moves: they hit the robot
     Auto,
-    /// Use every ray that `scan.*` accepts
+    /// Use every ray accepted by `scan.*`
     Off,
 }
 
 fn resolution(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|side| (0.005..=1.0).contains(side)).ok_or_else(|| "expected metres, 0.005 to 1".into())
+    text.parse().ok().filter(|side| (0.005..=1.0).contains(side)).ok_or_else(|| "expected 0.005 to 1 (metres)".into())
 }
 
-/// The files that a map is made of.
+/// The files of a map.
 struct Outputs {
     map: MapPaths,
     picture: PathBuf,
@@ -80,7 +81,7 @@ struct Outputs {
 
 impl Outputs {
     fn new(prefix: &Path) -> Self {
-        Self { map: MapPaths::new(prefix), picture: ending(prefix, ".png") }
+        Self { map: MapPaths::new(prefix), picture: append(prefix, ".png") }
     }
 }
 
@@ -91,10 +92,10 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let mut files = OutputFiles::create(&outputs, arguments.tum.as_deref())?;
     let clock = arguments.input.clock.clock();
     let mut survey = Survey::of(arguments, &config, &clock)?;
-    let own = survey.self_hits.found();
-    let found = if arguments.mask_self == MaskSelf::Auto { Sectors(own) } else { Sectors::default() };
-    if !found.0.is_empty() {
-        config.scan.masked_sectors.0.extend_from_slice(&found.0);
+    let detected = survey.self_hits.sectors();
+    let masked_sectors = if arguments.mask_self == MaskSelf::Auto { Sectors(detected) } else { Sectors::default() };
+    if !masked_sectors.0.is_empty() {
+        config.scan.masked_sectors.0.extend_from_slice(&masked_sectors.0);
         let first = survey.stages;
         survey = Survey::of(arguments, &config, &clock)?;
         survey.stages.replay += first.replay + first.keyframes;
@@ -102,29 +103,28 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let Survey { mut mapper, mut stages, mut problems, .. } = survey;
     let start = clock.now();
     mapper.finish();
-    let drawn = clock.now();
-    let map =
-        mapper.grid(arguments.resolution).to_map().context("no ray of the scans has an end: there is nothing to draw")??;
-    (stages.graph, stages.grid) = (drawn.saturating_sub(start), clock.now().saturating_sub(drawn));
+    let end = clock.now();
+    let map = mapper.grid(arguments.resolution).to_map().context("no ray of the scans has a measurement: the map is empty")??;
+    (stages.graph, stages.grid) = (end.saturating_sub(start), clock.now().saturating_sub(end));
     let path = mapper.trajectory();
-    problems.extend(reservations(&mapper, &path));
+    problems.extend(limitations(&mapper, &path));
     files.write(&mapper, &map, &path)?;
-    let summary = MapSummary::new(&mapper, &path, &map, found, stages, problems);
-    let roles = self::files(arguments, &config, &outputs);
-    Ok(roles.shown(arguments.json, || summary.to_json(), || summary.to_text()))
+    let summary = MapSummary::new(&mapper, &path, &map, masked_sectors, stages, problems);
+    let output_files = self::files(arguments, &config, &outputs);
+    Ok(output_files.output(arguments.json, || summary.to_json(), || summary.to_text()))
 }
 
-/// What the bags have come to.
+/// The map and the statistics from all bags.
 struct Survey {
     mapper: Mapper,
     self_hits: SelfHits,
     stages: Stages,
-    /// What the user should know.
+    /// Problems to report to the user.
     problems: Vec<String>,
 }
 
 impl Survey {
-    /// Of all bags.
+    /// Processes all bags.
     fn of(arguments: &Arguments, config: &Config, clock: &Arc<dyn Clock>) -> anyhow::Result<Self> {
         let mapper = match &arguments.extend {
             Some(path) => old_map(path, config)?,
@@ -135,7 +135,7 @@ impl Survey {
         Ok(survey)
     }
 
-    /// Hands the scans of a bag to the mapper.
+    /// Adds the scans of a bag to the mapper.
     fn add(&mut self, arguments: &Arguments, path: &Path, config: &Config, clock: &Arc<dyn Clock>) -> anyhow::Result<()> {
         let bag = Bag::open(path)?;
         let mut topics = arguments.input.topics(&bag, config)?;
@@ -158,7 +158,7 @@ impl Survey {
                 if let Outcome::Predicted(Failure { reason, text }) = &estimate.registration.outcome {
                     failures.add(reason.name(), text);
                 }
-                survey::hand_over(&mut self.mapper, &mut self.self_hits, scan, estimate, app);
+                survey::add_scan(&mut self.mapper, &mut self.self_hits, scan, estimate, app);
                 mapping += clock.now().saturating_sub(begun);
                 Ok(())
             },
@@ -166,11 +166,11 @@ impl Survey {
         progress.finish_and_clear();
         self.stages.keyframes += mapping;
         self.stages.replay += clock.now().saturating_sub(start).saturating_sub(mapping);
-        let unusable = failures.unusable().in_words(scans);
+        let unusable = failures.unusable().descriptions(scans);
         if self.mapper.keyframes().len() == before {
             bail!("{}: no scan on {} could be used{}", path.display(), topics.scan, log.reasons(&bag, &unusable));
         }
-        let assumed = app.mount().1.reservation().map(Into::into);
+        let assumed = app.mount().1.warning().map(Into::into);
         let counted = app.odometry_counters().in_words();
         self.problems.extend(bag.problems().iter().map(ToString::to_string));
         self.problems.extend(log.problems().chain(unusable).chain(assumed).chain(counted));
@@ -178,30 +178,30 @@ impl Survey {
     }
 }
 
-/// The map of a graph file.
+/// Reads the map of a graph file.
 fn old_map(path: &Path, config: &Config) -> anyhow::Result<Mapper> {
     let bytes = std::fs::read(path).with_context(|| format!("cannot read the graph {}", path.display()))?;
     Mapper::from_bytes(&bytes, &config.matching, &config.rejection).with_context(|| format!("graph {}", path.display()))
 }
 
-/// What makes the map less than it may seem.
-fn reservations(mapper: &Mapper, path: &[StampedPose]) -> Vec<String> {
-    let still = mapper.keyframes().len() == 1 && path.len() > 1;
-    let still = still.then(|| "the robot has not moved: the map is what is seen from one place".into());
+/// Warnings about limitations of the map.
+fn limitations(mapper: &Mapper, path: &[StampedPose]) -> Vec<String> {
+    let not_moved = mapper.keyframes().len() == 1 && path.len() > 1;
+    let not_moved = not_moved.then(|| "the robot has not moved: the map shows only what is visible from one pose".into());
     let unplaced = mapper.unplaced_runs();
     let unplaced = (unplaced > 0).then(|| {
         format!(
-            "where {unplaced} of the runs began on the map could not be found: they are not drawn, and their poses are those of their odometry \
-             (a run begins with a bag, and where time goes back; it must pass places seen before, for 5 m at least)"
+            "the start of {unplaced} runs could not be located on the map: they are not in the map, and their poses are those of their odometry \
+             (a run starts with each bag and with each jump back in time; it must revisit places on the map over at least 5 m)"
         )
     });
-    still.into_iter().chain(unplaced).collect()
+    not_moved.into_iter().chain(unplaced).collect()
 }
 
 fn files<'a>(arguments: &'a Arguments, config: &'a Config, outputs: &'a Outputs) -> Files<'a> {
     let bags = arguments.bags.iter();
     bags.fold(Files::default(), |files, bag| files.read("the bag", Some(bag)))
-        .of(&arguments.input, config)
+        .with_flags(&arguments.input, config)
         .read("--extend", arguments.extend.as_deref().filter(|old| *old != outputs.map.graph))
         .written("--tum", arguments.tum.as_deref())
         .written("--out, the graph", Some(&outputs.map.graph))
@@ -210,7 +210,7 @@ fn files<'a>(arguments: &'a Arguments, config: &'a Config, outputs: &'a Outputs)
         .written("--out, the picture", Some(&outputs.picture))
 }
 
-/// The files being written: begun before the work, so that a folder that cannot be written to is told at once.
+/// The files being written. They are created before the work, so that an unwritable folder is reported at once.
 struct OutputFiles {
     map: MapFiles,
     picture: OutputFile,
@@ -229,11 +229,11 @@ impl OutputFiles {
 
     fn write(&mut self, mapper: &Mapper, map: &OccupancyGrid, path: &[StampedPose]) -> anyhow::Result<()> {
         self.map.write(map, &mapper.to_bytes())?;
-        let places: Vec<Point> = path.iter().map(|stamped| stamped.pose.translation()).collect();
-        let place = |keyframe: usize| mapper.graph().poses()[keyframe].translation();
+        let positions: Vec<Point> = path.iter().map(|stamped| stamped.pose.translation()).collect();
+        let position = |keyframe: usize| mapper.graph().poses()[keyframe].translation();
         let loops = mapper.graph().edges().iter().filter(|edge| edge.kind == EdgeKind::Loop);
-        let loops: Vec<(Point, Point)> = loops.map(|edge| (place(edge.from), place(edge.to))).collect();
-        Picture { map, path: &places, loops: &loops }.write_png(&mut self.picture).context("cannot write the picture")?;
+        let loops: Vec<(Point, Point)> = loops.map(|edge| (position(edge.from), position(edge.to))).collect();
+        Picture { map, path: &positions, loops: &loops }.write_png(&mut self.picture).context("cannot write the picture")?;
         if let Some(tum) = &mut self.tum {
             let mut lines = TumWriter::new(Vec::new());
             path.iter().try_for_each(|pose| lines.write(pose))?;
@@ -241,6 +241,6 @@ impl OutputFiles {
         }
         self.map.commit()?;
         let files = std::iter::once(&mut self.picture).chain(&mut self.tum);
-        files.into_iter().try_for_each(OutputFile::commit).context("cannot put the files in their places")
+        files.into_iter().try_for_each(OutputFile::commit).context("cannot move the files to their final names")
     }
 }

@@ -1,4 +1,4 @@
-//! How a run ends: exit code 0 when it has done what it was asked, 1 when it failed, 2 when it was asked for what makes no sense.
+//! The exit code of a run: 0 on success, 1 on failure, 2 on wrong usage.
 
 use std::fmt::Display;
 use std::process::ExitCode;
@@ -8,34 +8,34 @@ use anytime_scan_matcher::output::SameFile;
 use anytime_scan_matcher::profile::ProfileError;
 use thiserror::Error;
 
-/// The arguments make no sense.
+/// The arguments are wrong.
 #[derive(Debug, Error)]
 #[error("{0}")]
 struct Usage(String);
 
-/// A failure that has something to show.
+/// A failure that still has output to show.
 #[derive(Debug, Error)]
 #[error("{problem}")]
-pub(crate) struct Hollow {
-    /// For standard output.
+pub(crate) struct FailureWithOutput {
+    /// The text for standard output.
     pub(crate) text: String,
     problem: String,
 }
 
-/// The error for arguments that make no sense.
+/// Creates an error for wrong arguments.
 pub(crate) fn usage(problem: impl Display) -> anyhow::Error {
     Usage(problem.to_string()).into()
 }
 
-/// `text` if there is nothing wrong with it; else the error that shows it all the same.
-pub(crate) fn shown(text: String, problem: Option<String>) -> anyhow::Result<String> {
+/// Returns `text` if there is no problem, else the failure with this output.
+pub(crate) fn output_or_failure(text: String, problem: Option<String>) -> anyhow::Result<String> {
     match problem {
         None => Ok(text),
-        Some(problem) => Err(Hollow { text, problem }.into()),
+        Some(problem) => Err(FailureWithOutput { text, problem }.into()),
     }
 }
 
-/// The exit code that an error asks for.
+/// The exit code of an error.
 pub(crate) fn exit_code(error: &anyhow::Error) -> ExitCode {
     let config = error.downcast_ref::<ConfigError>().or(match error.downcast_ref() {
         Some(ProfileError::Config(error)) => Some(error),

@@ -11,7 +11,7 @@ use anytime_scan_matcher::io::{map_file, simulated_bag};
 use anytime_scan_matcher::messages::geometry_msgs::PoseStamped;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::profile::plan::Plan;
-use anytime_scan_matcher::profile::run::Input;
+use anytime_scan_matcher::profile::run::StudyData;
 use anytime_scan_matcher::profile::study::{Names, Study};
 use anytime_scan_matcher::replay::truth;
 use serde_json::json;
@@ -36,7 +36,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let truth = truth::load(&truth_name, &bag)?;
     let new_clock = || input.clock.clock();
     let study = Study {
-        input: Input { bag: &bag, topics: &topics, truth: &truth, map: map.as_ref() },
+        input: StudyData { bag: &bag, topics: &topics, truth: &truth, map: map.as_ref() },
         config: &config,
         plan: &plan,
         deltas: &arguments.delta,
@@ -67,9 +67,9 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     };
     let damage = || problems.iter().flat_map(|problem| ["\nwarning: the bag is damaged: ", problem]).collect::<String>();
     let cases = plan.cases.len();
-    Ok(files.shown(arguments.json, value, || {
+    Ok(files.output(arguments.json, value, || {
         format!(
-            "{}\n{cases} cases in {} rounds: {} runs{}\nwrote the pictures of {}",
+            "{}\n{cases} cases in {} rounds: {} runs{}\nwrote the plots in {}",
             results.to_text(terminal::width()),
             plan.rounds,
             study.runs(),
@@ -79,14 +79,14 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     }))
 }
 
-/// What a study writes besides pictures and the tables of scans.
+/// The files that a study writes besides plots and the tables of scans.
 const WRITTEN: [&str; 6] = ["runs.csv", "summary.csv", "profile.yaml", "report.html", "drive.bag", "drive.tum"];
 
 fn check_files(arguments: &Arguments, config: &Config) -> anyhow::Result<()> {
     let written = WRITTEN.map(|name| arguments.out.join(name));
     let simulated = if arguments.world.is_some() { 0 } else { 2 };
     let files = Files::default()
-        .of(&arguments.input, config)
+        .with_flags(&arguments.input, config)
         .read("contract.cost_file", config.contract.cost_file.as_deref().map(Path::new))
         .read("the bag", arguments.bag.as_deref())
         .read_map("--world", arguments.world.as_deref().map(Path::new))
@@ -95,7 +95,7 @@ fn check_files(arguments: &Arguments, config: &Config) -> anyhow::Result<()> {
     written.fold(files, |files, path| files.written("a file of --out", Some(path))).check()
 }
 
-/// The bag given, or that of the drive asked for.
+/// The given bag, or that of the simulated drive.
 fn bag_path(arguments: &Arguments) -> anyhow::Result<PathBuf> {
     let Some(world) = &arguments.world else { return Ok(arguments.bag.clone().unwrap_or_default()) };
     let path = arguments.out.join("drive.bag");
@@ -107,18 +107,18 @@ fn bag_path(arguments: &Arguments) -> anyhow::Result<PathBuf> {
 fn truth_name(arguments: &Arguments, bag: &Bag) -> anyhow::Result<String> {
     match &arguments.input.truth {
         Some(name) => Ok(name.clone()),
-        None if arguments.world.is_some() => Ok(simulated_bag::TRUTH.into()),
+        None if arguments.world.is_some() => Ok(simulated_bag::TRUTH_TOPIC.into()),
         None => {
             let candidates = [bag.topics_of::<PoseStamped>(), bag.topics_of::<Odometry>()].concat();
             let candidates = if candidates.is_empty() { "none".into() } else { candidates.join(", ") };
             Err(usage(format!(
-                "errors need the truth: --truth FILE.tum, or --truth TOPIC with a topic of the bag (those that carry poses: {candidates})"
+                "the true poses are missing: use --truth FILE.tum, or --truth TOPIC with a topic of the bag (topics with poses: {candidates})"
             )))
         }
     }
 }
 
-/// What was typed, but for the place of the program.
+/// The command line, without the directory of the program.
 fn command() -> String {
     let words = env::args().skip(1).map(|word| if word.contains(' ') { format!("'{word}'") } else { word });
     ["anytime".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")

@@ -14,36 +14,37 @@ use crate::input_flags::InputFlags;
 use crate::outcome::usage;
 use crate::simulation_flags::SimulationFlags;
 
-/// Measure delay and error of every variant over the values of its knobs: tables, pictures, a report, and a profile for planners
+/// Measure delay and error of every variant over the values of its knobs: tables, plots, a report, and a profile for planners
 ///
-/// Errors are those of `anytime evaluate`: after the alignment of the whole trajectory to the truth.
+/// Errors are computed as by `anytime evaluate`: after alignment of the whole trajectory to the ground truth.
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// The bag; or --world
+    /// The bag (or use --world)
     #[arg(required_unless_present = "world", conflicts_with_all = ["world", "SimulationFlags"])]
     pub(crate) bag: Option<PathBuf>,
-    /// Simulate the drive first, into DIR/drive.bag: in corridor, room, or the YAML file of a map
+    /// Simulate a drive first and record it in DIR/drive.bag: corridor, room, or the YAML file of a map
     #[arg(long)]
     pub(crate) world: Option<String>,
-    /// The folder to write to
+    /// The output folder
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     #[arg(long, value_parser = |text: &str| Knob::from_value(&text.into()), help = knob_help())]
     knob: Vec<Knob>,
-    /// Try these values of the knob, such as 1,2,4,8 or 1ms,5ms [default: those of the knob]
+    /// The values of the knob, such as 1,2,4,8 or 1ms,5ms [default: depends on the knob]
     #[arg(long, value_delimiter = ',', requires = "knob")]
     values: Vec<String>,
-    /// Profile this variant, such as `jump_table+point_to_line` or `particle_filter`; may be given many times [default: every search
-    /// with every solver]
+    /// Profile this variant, such as `jump_table+point_to_line` or `particle_filter`; may be repeated [default: every search with
+    /// every solver]
     #[arg(long, value_name = "SEARCH+SOLVER")]
     variant: Vec<Variant>,
-    /// Profile the particle filter beside them, on this map, a YAML file of `map_server`; the truth is to be given in its frame
+    /// Also profile the particle filter, on this map, a YAML file of `map_server`; the ground truth must be in the frame of the
+    /// map
     #[arg(long, value_name = "M.yaml")]
     pub(crate) map: Option<PathBuf>,
-    /// Compare the look-up table with a contract at this time limit, such as 500us; several may be given
+    /// Compare the look-up table with a contract at this time limit, such as 500us; several may be given, separated by commas
     #[arg(long, value_name = "TIME", value_delimiter = ',', value_parser = delta, allow_hyphen_values = true)]
     pub(crate) delta: Vec<Duration>,
-    /// Runs of each case, interleaved with all others
+    /// Number of runs per case, interleaved with those of all other cases
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) rounds: u32,
     /// Seed of the order of the runs within the rounds, and of the simulated drive
@@ -65,23 +66,24 @@ fn delta(text: &str) -> Result<Duration, String> {
 }
 
 fn knob_help() -> String {
-    format!("Turn this knob: {}; may be given many times [default: each in turn]", Knob::kind())
+    format!("Vary this knob: {}; may be repeated [default: every knob, one after the other]", Knob::kind())
 }
 
 impl Arguments {
     pub(crate) fn variants(&self) -> anyhow::Result<Vec<Variant>> {
         let mut variants = if self.variant.is_empty() { Variant::matchers() } else { self.variant.clone() };
         match (variants.contains(&Variant::Filter), &self.map) {
-            (true, None) => return Err(usage("the particle filter needs a map: --map M.yaml")),
+            (true, None) => return Err(usage("the particle filter needs a map: use --map M.yaml")),
             (false, Some(_)) => variants.push(Variant::Filter),
             _ => {}
         }
         for &knob in &self.knob {
-            let is_turned = variants.iter().any(|&variant| knob.is_of(variant));
-            if !is_turned {
+            let is_used = variants.iter().any(|&variant| knob.applies_to(variant));
+            if !is_used {
                 let name = knob.name();
-                let problem =
-                    format!("--knob {name}: none of the variants has it (those of the particle filter take --map M.yaml)");
+                let problem = format!(
+                    "--knob {name}: no profiled variant has this knob (to profile the particle filter, use --map M.yaml)"
+                );
                 return Err(usage(problem));
             }
         }
@@ -95,7 +97,7 @@ impl Arguments {
             return Ok(vec![Sweep { knob: *knob, values: Some(values) }]);
         }
         if !self.values.is_empty() {
-            return Err(usage("--values are those of one knob: give --knob once, or leave --values out"));
+            return Err(usage("--values needs exactly one --knob: give --knob once, or omit --values"));
         }
         let knobs = if self.knob.is_empty() { Knob::ALL } else { &self.knob };
         Ok(knobs.iter().map(|&knob| Sweep { knob, values: None }).collect())

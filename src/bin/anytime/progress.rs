@@ -1,4 +1,4 @@
-//! The progress bar: on stderr, and only where that is a terminal.
+//! The progress bar: on stderr, and only if that is a terminal.
 
 use indicatif::{ProgressBar, ProgressStyle};
 

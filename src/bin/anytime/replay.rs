@@ -16,7 +16,7 @@ use anytime_scan_matcher::replay::summary::Ending;
 use anytime_scan_matcher::replay::{Source, replay, truth};
 
 use crate::input_flags::Files;
-use crate::outcome::shown;
+use crate::outcome::output_or_failure;
 use crate::replay_flags::Arguments;
 use crate::{progress, terminal};
 
@@ -49,7 +49,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let trajectory = Trajectory::new(summary.poses().to_vec())?;
     let report = truth.as_ref().map(|truth| Report::new(&trajectory, Some(truth), None, Comparison::default())).transpose()?;
     let max_dt = Comparison::default().max_dt;
-    let consistency = truth.as_ref().and_then(|truth| Consistency::new(summary.claims(), truth, max_dt));
+    let consistency = truth.as_ref().and_then(|truth| Consistency::new(summary.uncertain_poses(), truth, max_dt));
     if let Some(path) = &arguments.plot {
         trajectory_plot(path, &trajectory, truth.as_ref(), recorder.points(), max_dt)?;
     }
@@ -63,13 +63,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         bag_problems: bag.problems().iter().map(ToString::to_string).collect(),
     };
     let files = self::files(arguments, &config);
-    let text = files.shown(arguments.json, || summary.to_json(&ending), || summary.to_text(&ending, terminal::width()));
-    shown(text, summary.hollow().map(|problem| format!("{}: {problem}", arguments.bag.display())))
+    let text = files.output(arguments.json, || summary.to_json(&ending), || summary.to_text(&ending, terminal::width()));
+    output_or_failure(text, summary.failure().map(|problem| format!("{}: {problem}", arguments.bag.display())))
 }
 
 fn files<'a>(arguments: &'a Arguments, config: &'a Config) -> Files<'a> {
     Files::default()
-        .of(&arguments.input, config)
+        .with_flags(&arguments.input, config)
         .read("the bag", Some(&arguments.bag))
         .read("--contract-schedule", arguments.contract_schedule.as_deref())
         .written("contract.cost_file", config.contract.cost_file.as_deref().map(Path::new))

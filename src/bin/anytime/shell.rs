@@ -1,4 +1,4 @@
-//! `anytime completions` and `anytime man`: for the shell and for packagers.
+//! `anytime completions` and `anytime man`: shell completions and manual pages.
 
 use anyhow::Context as _;
 use clap::{Args, Command};
@@ -6,13 +6,13 @@ use clap_complete::Shell;
 
 use crate::outcome::usage;
 
-/// Print the completion script of a shell
+/// Print the completion script for a shell
 #[derive(Args)]
 pub(crate) struct Completions {
     shell: Shell,
 }
 
-/// Print the manual page of `anytime`, or of one of its commands
+/// Print the manual page of `anytime` or of one of its commands
 #[derive(Args)]
 pub(crate) struct Man {
     /// The command

@@ -19,10 +19,10 @@ use crate::input_flags::Files;
 use crate::knob_flags::help;
 use crate::simulation_flags::{SimulationFlags, check_world};
 
-/// Drive a simulated racecar and write its scans and odometry to a bag
+/// Simulate a racecar and record its scans and odometry in a bag
 #[derive(Args)]
 pub(crate) struct Arguments {
-    /// Where to drive: corridor, room, or the YAML file of a map
+    /// The environment: corridor, room, or the YAML file of a map
     #[arg(long)]
     world: String,
     /// The bag to write
@@ -31,7 +31,7 @@ pub(crate) struct Arguments {
     /// Write the true pose of every scan to a TUM file
     #[arg(long, value_name = "X.tum")]
     truth: Option<PathBuf>,
-    /// How the chunks of the bag are packed: none, bz2 or lz4
+    /// Compression of the bag: none, bz2 or lz4
     #[arg(long, default_value = "lz4", value_parser = |text: &str| Compression::from_value(&text.into()))]
     compression: Compression,
     #[arg(long, default_value_t = DriveKnobs::default().seed, hide_default_value = true, help = help::<DriveKnobs>("seed"))]
@@ -51,10 +51,10 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         .written("--truth", truth.as_deref());
     files.check()?;
     let scans = drive(world, &flags.settings(*seed)?, out, *compression, truth.as_deref())?;
-    Ok(files.shown(*json, || json!({ "scans": scans }), || format!("{scans} scans")))
+    Ok(files.output(*json, || json!({ "scans": scans }), || format!("{scans} scans")))
 }
 
-/// Writes a drive to a bag, and its truth to a TUM file; answers the number of scans.
+/// Records a simulated drive in a bag, and its true poses in a TUM file; returns the number of scans.
 pub(crate) fn drive(
     world: &str,
     settings: &Settings,
@@ -66,7 +66,7 @@ pub(crate) fn drive(
     let create = |path: &Path| OutputFile::create(path).with_context(|| format!("cannot create {}", path.display()));
     let mut file = truth.map(create).transpose()?;
     let bag = BagWriter::create_whole(out, compression)?;
-    // The truth is small: a line for every scan.
+    // The true poses are few: one line per scan.
     let mut poses = Vec::new();
     let scans = simulated_bag::record(settings, &scene, bag, TumWriter::new(&mut poses))?;
     if let (Some(file), Some(path)) = (&mut file, truth) {

@@ -1,4 +1,4 @@
-//! The flags that set knobs of the simulation.
+//! The flags that set parameters of the simulation.
 
 use std::path::Path;
 
@@ -14,11 +14,11 @@ use clap::Args;
 use crate::knob_flags::{help, set, value};
 use crate::outcome::usage;
 
-/// Refuses a `--world` that is neither built in nor a file.
+/// Rejects a `--world` that is neither built in nor a file.
 pub(crate) fn check_world(name: &str) -> anyhow::Result<()> {
     match BuiltIn::from_value(&name.into()) {
         Err(expected) if !Path::new(name).exists() => {
-            Err(usage(format!("--world: {expected}, and there is no map of that name")))
+            Err(usage(format!("--world: {expected}, and there is no map file of this name")))
         }
         _ => Ok(()),
     }
@@ -55,7 +55,7 @@ pub(crate) struct SimulationFlags {
 }
 
 impl SimulationFlags {
-    /// The defaults, with the seed and what the flags set.
+    /// The defaults, with the seed and the values set by flags.
     pub(crate) fn settings(&self, seed: u32) -> anyhow::Result<Settings> {
         let mut settings = Settings::default();
         set(&mut settings.drive, "duration", self.duration.as_ref())?;

@@ -1,4 +1,4 @@
-//! The width of the terminal, and text that fits it.
+//! The width of the terminal, and text wrapping.
 
 use std::env;
 use std::io::{self, IsTerminal};
@@ -6,28 +6,28 @@ use std::io::{self, IsTerminal};
 use clap::builder::StyledStr;
 use terminal_size::{Width, terminal_size_of};
 
-/// Nothing is broken into lines shorter than this.
+/// Minimum width for wrapping; narrower terminals are ignored.
 const MIN_WIDTH: usize = 20;
 
-/// Columns of the terminal that standard output is; else what `COLUMNS` says. `None`: a file or a pipe, which is as wide as need be.
+/// Columns of the terminal of standard output, else the value of `COLUMNS`. `None`: a file or a pipe, which needs no wrapping.
 pub(crate) fn width() -> Option<usize> {
     let of_terminal = terminal_size_of(io::stdout()).map(|(Width(columns), _)| usize::from(columns));
     let width = of_terminal.or_else(|| env::var("COLUMNS").ok()?.trim().parse().ok());
     width.filter(|width| *width >= MIN_WIDTH)
 }
 
-/// Text with its colours where a person sees them.
+/// The text, with colours only on a terminal.
 pub(crate) fn colours(text: &StyledStr) -> String {
     if io::stdout().is_terminal() && env::var_os("NO_COLOR").is_none() { text.ansi().to_string() } else { text.to_string() }
 }
 
-/// Breaks lines between words where they are too long. JSON stays one line.
+/// Wraps long lines at spaces. JSON stays one line.
 pub(crate) fn wrap(text: &str, width: Option<usize>) -> String {
     let Some(width) = width.filter(|_| !text.starts_with('{')) else { return text.into() };
     text.lines().map(|line| wrap_line(line, width)).collect::<Vec<_>>().join("\n")
 }
 
-/// What follows the first line of a row begins where its second column does.
+/// Wraps a line; continuation lines are indented to its second column.
 fn wrap_line(line: &str, width: usize) -> String {
     if visible(line) <= width {
         return line.into();
@@ -54,14 +54,14 @@ fn wrap_line(line: &str, width: usize) -> String {
     wrapped
 }
 
-/// Number of characters, without the codes of colours.
+/// Number of visible characters, without colour codes.
 fn visible(text: &str) -> usize {
-    let mut parts = text.split('\u{1b}');
-    let plain = parts.next().map_or(0, |text| text.chars().count());
-    plain + parts.map(|part| part.split_once('m').map_or(0, |(_, text)| text.chars().count())).sum::<usize>()
+    let mut pieces = text.split('\u{1b}');
+    let plain = pieces.next().map_or(0, |text| text.chars().count());
+    plain + pieces.map(|piece| piece.split_once('m').map_or(0, |(_, text)| text.chars().count())).sum::<usize>()
 }
 
-/// Where the text after the first run of spaces within a line begins.
+/// The column of the text after the first run of spaces within a line.
 fn second_column(line: &str) -> Option<usize> {
     let start = line.len() - line.trim_start().len();
     let run = start + line[start..].find("  ")?;

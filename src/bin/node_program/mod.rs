@@ -1,4 +1,4 @@
-//! What the programs of all nodes do with their arguments: those that are not ROS's.
+//! Command-line handling shared by the programs of all nodes, for arguments that are not ROS's.
 
 use std::env;
 use std::os::unix::process::CommandExt as _;
@@ -7,10 +7,10 @@ use std::process::{Command, ExitCode};
 use anytime_scan_matcher::knobs::KnobInfo;
 use anytime_scan_matcher::ros::NodeError;
 
-/// A node as its program.
+/// The program of a node.
 pub(crate) struct NodeProgram<'a> {
     pub(crate) name: &'a str,
-    /// The help, up to the parameters.
+    /// The help text before the list of parameters.
     pub(crate) usage: &'a str,
     /// Path and description of every parameter.
     pub(crate) parameters: Vec<(String, KnobInfo)>,
@@ -18,7 +18,7 @@ pub(crate) struct NodeProgram<'a> {
 }
 
 impl NodeProgram<'_> {
-    /// Runs the node, unless the arguments, those that are not ROS's, ask for something else.
+    /// Runs the node, or prints the help or the version if `arguments` (without those of ROS) ask for it.
     pub(crate) fn main(&self, arguments: &[String]) -> ExitCode {
         match arguments.first().map(String::as_str) {
             None => self.run_node(),
@@ -52,20 +52,21 @@ impl NodeProgram<'_> {
     }
 }
 
-/// Starts the program once more in this process, with a limit to the C library's memory arenas, unless that has been set: it takes the
-/// limit from the environment that a program starts with, and nowhere else. Every thread may have an arena, and each reserves 64 MB of
-/// addresses. Where addresses are limited (`ulimit -v`), that alone would leave none for another thread.
+/// Restarts the program in this process with a limit on the memory arenas of the C library, unless one is set already. The C
+/// library reads the limit only from the environment at the start of a program. Every thread may have an arena, and each arena
+/// reserves 64 MB of address space. If address space is limited (`ulimit -v`), arenas alone could use it up so that no further
+/// thread can start.
 fn limit_arenas() {
     const LIMIT: &str = "MALLOC_ARENA_MAX";
     if env::var_os(LIMIT).is_none()
         && let Ok(program) = env::current_exe()
     {
-        // Returns only when it has failed; then there is no limit.
+        // Returns only on failure; then there is no limit.
         let _ = Command::new(program).args(env::args_os().skip(1)).env(LIMIT, "2").exec();
     }
 }
 
-/// The arguments that are not ROS's.
+/// The arguments of the program, without those of ROS.
 pub(crate) fn own_arguments() -> Vec<String> {
     let all = env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned());
     all.filter(|argument| !argument.contains(":=")).collect()

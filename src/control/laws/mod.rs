@@ -1,4 +1,4 @@
-//! Laws of control: from where the car is on its path to the curvature it is to drive.
+//! Control laws: compute the commanded curvature from the car's pose relative to the path.
 
 mod proportional;
 mod pure_pursuit;
@@ -9,41 +9,41 @@ use crate::choices;
 use crate::geometry::Pose2;
 
 choices! {
-    /// How the car is steered.
+    /// Control law for the steering.
     pub enum Law {
-        /// In proportion to lateral and heading error, about the path's curvature.
+        /// Proportional feedback of lateral and heading error, with the path's curvature as feedforward.
         Proportional = "proportional",
-        /// On the circle to a point of the path ahead.
+        /// Pure pursuit: on a circle to the path point at the lookahead distance.
         PurePursuit = "pure_pursuit",
-        /// By the lateral error of the front axle.
+        /// Stanley: by the heading error and the lateral error of the front axle.
         Stanley = "stanley",
     }
 }
 
-/// What a law knows.
+/// Inputs of a control law.
 #[derive(Clone, Copy, Debug)]
-pub struct View<'a> {
+pub struct LawInput<'a> {
     /// The path.
     pub path: &'a Path,
-    /// Where the car is on it.
-    pub place: Projection,
-    /// Where the car's rear axle will be when the command acts.
+    /// Projection of the car onto the path.
+    pub projection: Projection,
+    /// Predicted pose of the rear axle when the command takes effect.
     pub pose: Pose2,
-    /// How fast it is, m/s.
+    /// Speed, m/s.
     pub speed: f64,
-    /// The distance ahead to look at this speed, m.
+    /// Lookahead distance at this speed, m.
     pub lookahead: f64,
     /// Distance between the axles, m.
     pub wheelbase: f64,
 }
 
 impl Law {
-    /// The curvature to drive, 1/m, positive to the left.
-    pub fn curvature(self, view: &View) -> f64 {
+    /// Commanded curvature, 1/m, positive to the left.
+    pub fn curvature(self, input: &LawInput) -> f64 {
         match self {
-            Self::Proportional => proportional::curvature(view),
-            Self::PurePursuit => pure_pursuit::curvature(view),
-            Self::Stanley => stanley::curvature(view),
+            Self::Proportional => proportional::curvature(input),
+            Self::PurePursuit => pure_pursuit::curvature(input),
+            Self::Stanley => stanley::curvature(input),
         }
     }
 }
@@ -54,24 +54,25 @@ mod tests {
     use crate::control::path::tests::{circle, waypoints};
     use crate::geometry::Twist2;
 
-    /// Errors, m, after each step of a car on the path that begins beside it.
+    /// Lateral errors, m, at each step of a car that starts beside the path.
     fn errors(law: Law, path: &Path, speed: f64) -> Vec<f64> {
         let mut pose = path.pose(0.0) * Pose2::new(0.0, 0.3, 0.2);
         let mut along = 0.0;
         (0..1500)
             .map(|_| {
-                let place = path.project(&pose, along, along + 2.0).unwrap();
-                along = place.along;
+                let projection = path.project(&pose, along, along + 2.0).unwrap();
+                along = projection.along;
                 let lookahead = 0.5 + 0.2 * speed;
-                let curvature = law.curvature(&View { path, place, pose, speed, lookahead, wheelbase: 0.33 }).clamp(-1.3, 1.3);
+                let curvature =
+                    law.curvature(&LawInput { path, projection, pose, speed, lookahead, wheelbase: 0.33 }).clamp(-1.3, 1.3);
                 pose = pose * Twist2 { vx: speed, vy: 0.0, omega: speed * curvature }.motion(0.01);
-                place.lateral_error
+                projection.lateral_error
             })
             .collect()
     }
 
     #[test]
-    fn every_law_comes_to_a_line_and_a_circle_and_stays() {
+    fn every_law_converges_to_a_line_and_a_circle() {
         let line = Path::new(&waypoints(&[(0.0, 0.0), (200.0, 0.0)]), false).unwrap();
         for &law in Law::ALL {
             for (path, allowed) in [(&line, 0.01), (&circle(5.0, 300), 0.05)] {

@@ -1,12 +1,13 @@
-//! Proportional control on lateral and heading error, about the curvature of the path.
+//! Proportional control of lateral and heading error, with the curvature of the path as feedforward.
 
-use super::View;
+use super::LawInput;
 
-/// For small errors the car's deviation `e` along its way `s` obeys `e'' + (2 / l) e' + e / l^2 = 0`, critically damped: it dies out over
-/// the length `l`, here half the look-ahead, as in pure pursuit, whose linear form is the same with less damping.
-pub(super) fn curvature(view: &View) -> f64 {
-    let length = 0.5 * view.lookahead;
-    let heading = view.place.heading_error.sin();
-    let lateral = (view.place.lateral_error / length).clamp(-1.0, 1.0);
-    view.path.curvature(view.place.along) - (2.0 * heading + lateral) / length
+/// For small errors the lateral error `e` obeys `e'' + (2 / l) e' + e / l^2 = 0` over the driven distance `s`. This is critically
+/// damped: the error decays over the length `l`, here half the lookahead distance. Linearized pure pursuit is the same with less
+/// damping.
+pub(super) fn curvature(input: &LawInput) -> f64 {
+    let length = 0.5 * input.lookahead;
+    let heading = input.projection.heading_error.sin();
+    let lateral = (input.projection.lateral_error / length).clamp(-1.0, 1.0);
+    input.path.curvature(input.projection.along) - (2.0 * heading + lateral) / length
 }

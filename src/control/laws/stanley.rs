@@ -1,19 +1,21 @@
-//! The law of the car Stanley (Hoffmann et al., 2007).
+//! The Stanley controller (Hoffmann et al., 2007).
 
-use super::View;
+use super::LawInput;
 use crate::geometry::Pose2;
 
-/// Below this speed the lateral error counts as at this speed, m/s.
-const SOFTENING: f64 = 1.0;
-/// Lateral speed for each metre of error, 1/s.
+/// Minimum speed in the lateral error term, m/s: limits the gain at low speed.
+const MIN_SPEED: f64 = 1.0;
+/// Gain k of the lateral error, 1/s.
 const GAIN: f64 = 2.5;
 
-/// The front wheels are turned along the path, and towards it by `atan(k e / v)`: the error of the front axle dies out as `exp(-k t)`.
-pub(super) fn curvature(view: &View) -> f64 {
-    let front = view.pose * Pose2::new(view.wheelbase, 0.0, 0.0);
-    let along = view.place.along;
-    let place = view.path.project(&front, along, along + 2.0 * view.wheelbase + view.lookahead).unwrap_or(view.place);
-    // At the front axle the path has turned on already: the wheels point along it there.
-    let steering = -place.heading_error - (GAIN * place.lateral_error / view.speed.abs().max(SOFTENING)).atan();
-    steering.clamp(-1.4, 1.4).tan() / view.wheelbase
+/// The front wheels point along the path, plus `atan(k e / v)` towards it: the lateral error `e` of the front axle decays as
+/// `exp(-k t)`.
+pub(super) fn curvature(input: &LawInput) -> f64 {
+    let front = input.pose * Pose2::new(input.wheelbase, 0.0, 0.0);
+    let along = input.projection.along;
+    let projection =
+        input.path.project(&front, along, along + 2.0 * input.wheelbase + input.lookahead).unwrap_or(input.projection);
+    // The heading error is that at the front axle, so that the wheels point along the path there.
+    let steering = -projection.heading_error - (GAIN * projection.lateral_error / input.speed.abs().max(MIN_SPEED)).atan();
+    steering.clamp(-1.4, 1.4).tan() / input.wheelbase
 }

@@ -1,33 +1,34 @@
-//! What delay and error of poses a controller tolerates.
+//! The delay and error of poses that a controller tolerates.
 
 use std::time::Duration;
 
 use super::Situation;
 use crate::anytime::mode::Mode;
 
-/// The error of a follower that is told the true pose, m, RMS (docs/driving.md: this one's at 7 m/s).
-const TRACKING: f64 = 0.015;
-/// Errors this much greater are as good as equal.
-const UNNOTICED: f64 = 1.05;
-/// So many standard deviations of the car's place are to be within the room beside it.
+/// RMS tracking error of the follower with true poses, m (at 7 m/s, see docs/driving.md).
+const TRACKING_ERROR: f64 = 0.015;
+/// Errors that differ by less than this factor count as equal.
+const EQUAL_ERROR_RATIO: f64 = 1.05;
+/// The clearance must be at least this many standard deviations of the car's position.
 const SIGMAS: f64 = 3.0;
 
-/// The longest delay from scan to pose. Pure pursuit is a second-order system along the way with the time constant `look-ahead / (2 v)`:
-/// a delay of as much makes it unstable, half of it leaves it damped. More than a scan period is never tolerated: scans would be dropped.
-pub(super) fn longest_delay(situation: &Situation) -> Duration {
+/// Maximum delay from scan to pose. Pure pursuit is a second-order system with the time constant `lookahead / (2 v)`: a delay of
+/// that size makes it unstable, half of it leaves it damped. The delay is never more than a scan period, since scans would be
+/// dropped.
+pub(super) fn max_delay(situation: &Situation) -> Duration {
     let speed = situation.speed.abs().max(0.1);
     Duration::from_secs_f64(0.25 * situation.lookahead.max(0.0) / speed).min(situation.period)
 }
 
-/// How far from its path a car is to be expected that is steered by poses of this mode, m, RMS. It is steered towards the path one
-/// look-ahead away: there an error of the heading counts as one of the position. The heading of a pose is off by how far the car has
-/// turned since, too, where its follower does not make up for that. All these errors are independent.
-pub(super) fn error_followed(mode: &Mode, situation: &Situation) -> f64 {
-    let turned = situation.uncompensated_turn * mode.delay.as_secs_f64();
-    TRACKING.hypot(mode.error.translation).hypot(situation.lookahead * mode.error.rotation.hypot(turned))
+/// Expected RMS tracking error of a car that is steered by poses of this mode, m. The car steers towards the path at the
+/// lookahead distance, where a heading error acts as a position error. Without delay compensation the rotation of the car during
+/// the delay adds to the heading error. All errors are taken as independent.
+pub(super) fn expected_tracking_error(mode: &Mode, situation: &Situation) -> f64 {
+    let rotation = situation.uncompensated_yaw_rate * mode.delay.as_secs_f64();
+    TRACKING_ERROR.hypot(mode.error.translation).hypot(situation.lookahead * mode.error.rotation.hypot(rotation))
 }
 
-/// The greatest such error, where `least` is the least to be had.
-pub(super) fn greatest_error(least: f64, situation: &Situation) -> f64 {
-    (UNNOTICED * least).min(situation.clearance.max(0.0) / SIGMAS)
+/// Maximum acceptable tracking error, m, if `min_error` is the smallest achievable one.
+pub(super) fn max_error(min_error: f64, situation: &Situation) -> f64 {
+    (EQUAL_ERROR_RATIO * min_error).min(situation.clearance.max(0.0) / SIGMAS)
 }

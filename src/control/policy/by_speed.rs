@@ -1,4 +1,4 @@
-//! The faster, the shorter: a rule of thumb that needs no profile.
+//! A time budget that decreases with speed: a simple rule that needs no profile.
 
 use std::fmt;
 use std::time::Duration;
@@ -7,24 +7,24 @@ use super::{Situation, Terms};
 use crate::anytime::contract::Contract;
 use crate::knobs::{KnobValue as _, Seconds};
 
-/// A time budget that goes down evenly with the speed.
+/// A time budget that decreases linearly with the speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BySpeed {
-    /// At rest.
+    /// Budget at rest.
     pub slow: Duration,
-    /// At `speed_fast` and beyond; no longer than `slow`.
+    /// Budget at `speed_fast` and above; at most `slow`.
     pub fast: Duration,
-    /// m/s, above 0.
+    /// Speed from which on the budget is `fast`, m/s; above 0.
     pub speed_fast: f64,
 }
 
 pub(super) fn terms(rule: &BySpeed, situation: &Situation) -> Terms {
-    let share = (situation.speed.abs() / rule.speed_fast).min(1.0);
-    let time_budget = rule.slow.saturating_sub(rule.slow.saturating_sub(rule.fast).mul_f64(share));
+    let fraction = (situation.speed.abs() / rule.speed_fast).min(1.0);
+    let time_budget = rule.slow.saturating_sub(rule.slow.saturating_sub(rule.fast).mul_f64(fraction));
     Terms { contract: Contract { time_budget: Some(time_budget), ..Contract::default() }, max_iterations: None }
 }
 
-/// From `SLOW,FAST,SPEED`.
+/// Parses `SLOW,FAST,SPEED`.
 pub(super) fn parse(text: &str) -> Option<BySpeed> {
     let [slow, fast, speed] = text.split(',').map(str::trim).collect::<Vec<_>>().try_into().ok()?;
     let time = |text: &str| {

@@ -1,4 +1,4 @@
-//! To completion: as if there were no contracts.
+//! No contract: every answer runs to completion.
 
 use super::Terms;
 

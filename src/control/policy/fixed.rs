@@ -8,7 +8,7 @@ pub(super) fn terms(contract: Contract) -> Terms {
     Terms { contract, max_iterations: None }
 }
 
-/// From `TIME[,METRES]`.
+/// Parses `TIME[,METRES]`.
 pub(super) fn parse(text: &str) -> Option<Contract> {
     let (time, metres) = text.split_once(',').unwrap_or((text, "0"));
     let Seconds(budget) = Seconds::from_value(&time.into()).ok()?;

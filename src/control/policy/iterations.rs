@@ -1,4 +1,4 @@
-//! A limit of the work instead of one of the time: how matchers without contracts are made to hurry.
+//! An iteration limit instead of a time budget: how matchers without contracts are sped up.
 
 use super::Terms;
 

@@ -1,4 +1,4 @@
-//! Policies: which time contract to give the estimator, scan by scan.
+//! Policies: choose the time contract of the estimator for each scan.
 
 mod bound;
 mod by_speed;
@@ -17,53 +17,53 @@ pub use table::Table;
 
 use crate::anytime::contract::Contract;
 
-/// What a policy may know when a scan comes.
+/// Inputs of a policy when a scan arrives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Situation {
-    /// How fast the car is, m/s.
+    /// Speed of the car, m/s.
     pub speed: f64,
-    /// The distance ahead that its law looks at, m.
+    /// Lookahead distance of the control law, m.
     pub lookahead: f64,
-    /// Room beside the car on its path within the look-ahead, m.
+    /// Clearance beside the car on its path within the lookahead distance, m.
     pub clearance: f64,
-    /// How fast the car turns there, as far as its follower does not make up for the delay of poses, rad/s.
-    pub uncompensated_turn: f64,
-    /// Time from one scan to the next.
+    /// Maximum yaw rate on that part of the path, rad/s; 0 if the follower compensates the delay of poses.
+    pub uncompensated_yaw_rate: f64,
+    /// Period of the scans.
     pub period: Duration,
-    /// Whether the last answers were found in the conditions that what is known beforehand is of.
-    pub is_familiar: bool,
-    /// Time that a whole answer would take, begun now; nobody but an oracle knows.
-    pub whole: Duration,
+    /// Whether the conditions of the last answers are within those of the profile.
+    pub is_profile_valid: bool,
+    /// Time that a complete answer would take if begun now; only the oracle policy uses it.
+    pub full_answer_time: Duration,
 }
 
-/// What is asked of the answer to a scan.
+/// The limits for the answer to a scan.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Terms {
     /// The contract.
     pub contract: Contract,
-    /// Iterations at most; `None`: as the configuration says.
+    /// Maximum iterations; `None`: as configured.
     pub max_iterations: Option<u32>,
 }
 
-/// How contracts are chosen.
+/// The policy that chooses contracts.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Policy {
-    /// No contract: every answer takes as long as it takes.
+    /// No contract: every answer runs to completion.
     Completion,
-    /// So many iterations at most.
+    /// An iteration limit.
     Iterations(u32),
-    /// The same contract always.
+    /// The same contract for every scan.
     Fixed(Contract),
-    /// A time budget that goes down with the speed.
+    /// A time budget that decreases with the speed.
     BySpeed(BySpeed),
-    /// The cheapest mode of a profile that the controller tolerates.
+    /// The cheapest mode of a performance profile that the controller tolerates.
     Table(Table),
-    /// Knows the load.
+    /// Knows in advance how long an answer will take.
     Oracle,
 }
 
 impl Policy {
-    /// The terms in a situation.
+    /// The terms for a situation.
     pub fn terms(&self, situation: &Situation) -> Terms {
         match self {
             Self::Completion => completion::terms(),
@@ -76,18 +76,18 @@ impl Policy {
     }
 }
 
-/// Text that names no policy.
+/// Text that is not a valid policy.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "expected completion, iterations:N, fixed:TIME[,METRES] (fixed:10ms,0.02), by_speed:TIME,TIME,SPEED (at rest, and from SPEED on: \
-     by_speed:10ms,2ms,4), table or oracle, got '{0}'"
+    "expected completion, iterations:N, fixed:TIME[,METRES] (such as fixed:10ms,0.02), by_speed:SLOW,FAST,SPEED (time budget at rest and \
+     at SPEED or faster, such as by_speed:10ms,2ms,4), table or oracle, got '{0}'"
 )]
 pub struct UnknownPolicy(String);
 
 impl FromStr for Policy {
     type Err = UnknownPolicy;
 
-    /// A table has no modes yet.
+    /// The table of a table policy has no modes yet.
     fn from_str(text: &str) -> Result<Self, UnknownPolicy> {
         let unknown = || UnknownPolicy(text.into());
         let (name, value) = text.split_once(':').unwrap_or((text, ""));
@@ -129,14 +129,14 @@ mod tests {
         speed: 7.0,
         lookahead: 2.0,
         clearance: 0.6,
-        uncompensated_turn: 0.0,
+        uncompensated_yaw_rate: 0.0,
         period: Duration::from_millis(25),
-        is_familiar: true,
-        whole: Duration::from_millis(5),
+        is_profile_valid: true,
+        full_answer_time: Duration::from_millis(5),
     };
 
     #[test]
-    fn policies_are_named_as_they_are_read() {
+    fn policies_are_displayed_as_they_are_parsed() {
         let by_speed = "by_speed:10ms,2.5ms,4";
         for name in ["completion", "iterations:3", "fixed:10ms", "fixed:2.5ms,0.02", by_speed, "table", "oracle"] {
             assert_eq!(name.parse::<Policy>().unwrap().to_string(), name);
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_table_takes_the_cheapest_mode_that_the_controller_tolerates() {
+    fn a_table_chooses_the_cheapest_tolerated_mode() {
         let mode = |ms: u64, translation: f64| Mode {
             delay: Duration::from_millis(ms),
             error: ErrorEstimate { translation, rotation: 0.1 * translation },
@@ -159,32 +159,32 @@ mod tests {
         let policy = Policy::Table(Table { modes, ..Table::default() });
         let budget = |situation: &Situation| policy.terms(situation).contract.time_budget.unwrap().as_millis();
         assert_eq!(budget(&SITUATION), 5);
-        assert_eq!(budget(&Situation { clearance: 0.046, ..SITUATION }), 20, "little room: a better pose");
-        assert_eq!(budget(&Situation { lookahead: 8.0, ..SITUATION }), 20, "far ahead the heading counts for more");
-        assert_eq!(budget(&Situation { uncompensated_turn: 1.0, ..SITUATION }), 5, "in a curve");
+        assert_eq!(budget(&Situation { clearance: 0.046, ..SITUATION }), 20, "small clearance: a better pose");
+        assert_eq!(budget(&Situation { lookahead: 8.0, ..SITUATION }), 20, "with a long lookahead the heading matters more");
+        assert_eq!(budget(&Situation { uncompensated_yaw_rate: 1.0, ..SITUATION }), 5, "in a curve");
         let even = vec![mode(1, 0.0021), mode(5, 0.0021), mode(20, 0.002)];
         let even = Policy::Table(Table { modes: even, ..Table::default() });
-        assert_eq!(even.terms(&SITUATION).contract.time_budget, Some(Duration::from_millis(1)), "the cheapest of equal ones");
-        assert_eq!(budget(&Situation { clearance: 0.0, speed: 40.0, ..SITUATION }), 5, "the best of those in time");
+        assert_eq!(even.terms(&SITUATION).contract.time_budget, Some(Duration::from_millis(1)), "the cheapest of equal modes");
+        assert_eq!(budget(&Situation { clearance: 0.0, speed: 40.0, ..SITUATION }), 5, "the best mode within the maximum delay");
         assert_eq!(
-            budget(&Situation { is_familiar: false, ..SITUATION }),
+            budget(&Situation { is_profile_valid: false, ..SITUATION }),
             20,
-            "elsewhere nobody knows the errors: what time allows"
+            "errors unknown: the longest mode within the maximum delay"
         );
         assert_eq!(Policy::Table(Table::default()).terms(&SITUATION), Terms::default());
     }
 
     #[test]
-    fn the_faster_the_shorter_down_to_the_budget_of_full_speed() {
+    fn the_budget_decreases_with_the_speed() {
         let policy: Policy = "by_speed:10ms,2ms,4".parse().unwrap();
         let budget = |speed| policy.terms(&Situation { speed, ..SITUATION }).contract.time_budget.unwrap().as_millis();
         assert_eq!([0.0, 2.0, 4.0, 9.0, -2.0].map(budget), [10, 6, 2, 2, 6]);
     }
 
     #[test]
-    fn an_oracle_asks_for_less_under_load() {
+    fn an_oracle_shortens_the_budget_under_load() {
         assert_eq!(Policy::Oracle.terms(&SITUATION).contract.time_budget, Some(SITUATION.period));
-        let loaded = Policy::Oracle.terms(&Situation { whole: Duration::from_millis(100), ..SITUATION });
+        let loaded = Policy::Oracle.terms(&Situation { full_answer_time: Duration::from_millis(100), ..SITUATION });
         assert_eq!(loaded.contract.time_budget, Some(SITUATION.period / 2));
     }
 }

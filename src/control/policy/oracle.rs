@@ -1,13 +1,14 @@
-//! Knows how long a whole answer will take: what nobody else can know.
+//! An oracle that knows in advance how long a complete answer will take: a reference for the other policies.
 
-use super::bound::longest_delay;
+use super::bound::max_delay;
 use super::{Situation, Terms};
 use crate::anytime::contract::Contract;
 
-/// What the controller tolerates, where a whole answer fits into it; else half of that, so that what is left over can be done before the
-/// next scan. Never without a limit: a filter that looks for its robot takes many times as long as usual.
+/// The maximum delay that the controller tolerates if a complete answer fits into it; otherwise half of it, so that the remaining
+/// work is done before the next scan. There is always a limit because a filter during global localization takes many times longer
+/// than usual.
 pub(super) fn terms(situation: &Situation) -> Terms {
-    let longest = longest_delay(situation);
-    let time_budget = if situation.whole <= longest { longest } else { longest / 2 };
+    let max_delay = max_delay(situation);
+    let time_budget = if situation.full_answer_time <= max_delay { max_delay } else { max_delay / 2 };
     Terms { contract: Contract { time_budget: Some(time_budget), ..Contract::default() }, max_iterations: None }
 }

@@ -1,4 +1,4 @@
-//! An axis, linear or logarithmic, and the frame of ticks and labels that two of them make.
+//! Linear and logarithmic axes, and the frame of a plot with its ticks and labels.
 
 use std::ops::Range;
 
@@ -8,39 +8,39 @@ use plotters::prelude::*;
 
 use super::{Canvas, DrawError, style};
 
-/// Margin beyond the outermost values, as a part of their range.
-const AIR: f64 = 0.08;
-/// Fewer ticks than this do not show the scale.
-const FEWEST_TICKS: usize = 3;
+/// Margin beyond the outermost values, as a fraction of their range.
+const MARGIN: f64 = 0.08;
+/// Minimum number of ticks; fewer do not show the scale.
+const MIN_TICKS: usize = 3;
 
-/// How values lie along an axis.
+/// Scale of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
-    /// Evenly, with the values filling the axis.
+    /// Linear; the values fill the axis.
     Linear,
-    /// Evenly, zero in view.
+    /// Linear, and including zero.
     FromZero,
-    /// By their logarithm; values of zero and below are left out.
+    /// Logarithmic; values that are not positive are left out.
     Logarithmic,
 }
 
 impl Scale {
-    /// Whether a value has a place on the axis.
-    pub(super) fn holds(self, value: f64) -> bool {
+    /// Whether a value can be shown on the axis.
+    pub(super) fn accepts(self, value: f64) -> bool {
         value.is_finite() && (self != Self::Logarithmic || value > 0.0)
     }
 
-    /// The axis on which `values` are in view, with a margin around them.
+    /// Creates an axis that shows `values` with a margin.
     pub(super) fn axis(self, values: impl Iterator<Item = f64>) -> Axis {
-        let held = values.filter(|&v| self.holds(v)).map(|v| if self == Self::Logarithmic { v.ln() } else { v });
+        let accepted = values.filter(|&v| self.accepts(v)).map(|v| if self == Self::Logarithmic { v.ln() } else { v });
         let origin = if self == Self::FromZero { (0.0, 0.0) } else { (f64::INFINITY, f64::NEG_INFINITY) };
-        let (low, high) = held.fold(origin, |(low, high), v| (low.min(v), high.max(v)));
+        let (low, high) = accepted.fold(origin, |(low, high), v| (low.min(v), high.max(v)));
         let (low, high) = if low > high { (0.0, 1.0) } else { (low, high) };
-        let air = (AIR * (high - low)).max(if self == Self::Logarithmic { 0.1 } else { 1e-3 });
+        let margin = (MARGIN * (high - low)).max(if self == Self::Logarithmic { 0.1 } else { 1e-3 });
         match self {
-            Self::Linear => Axis::linear(low - air..high + air),
-            Self::FromZero => Axis::linear(if low < 0.0 { low - air } else { 0.0 }..high + air),
-            Self::Logarithmic => Axis { logarithmic: true, range: low - air..high + air },
+            Self::Linear => Axis::linear(low - margin..high + margin),
+            Self::FromZero => Axis::linear(if low < 0.0 { low - margin } else { 0.0 }..high + margin),
+            Self::Logarithmic => Axis { logarithmic: true, range: low - margin..high + margin },
         }
     }
 }
@@ -49,7 +49,7 @@ impl Scale {
 #[derive(Clone)]
 pub(super) struct Axis {
     logarithmic: bool,
-    /// Of the values, or of their natural logarithms.
+    /// Range of the values, or of their natural logarithms.
     range: Range<f64>,
 }
 
@@ -58,7 +58,7 @@ impl Axis {
         Self { logarithmic: false, range }
     }
 
-    /// Whether it can be drawn: the backend panics on axes without end.
+    /// Whether the axis can be drawn: the backend panics on infinite ranges.
     pub(super) fn is_finite(&self) -> bool {
         (self.range.end - self.range.start).is_finite()
     }
@@ -67,8 +67,8 @@ impl Axis {
         self.range.clone().into()
     }
 
-    /// Powers of ten, with 2 and 5 between them where there is room; over a short span evenly spaced values.
-    fn logarithmic_ticks(&self, most: usize) -> Vec<f64> {
+    /// Powers of ten, and their multiples by 2 and 5 if there is room; over a short range, evenly spaced values.
+    fn logarithmic_ticks(&self, max: usize) -> Vec<f64> {
         let within = self.range();
         #[allow(clippy::cast_possible_truncation)] // exponents of finite numbers: a few hundred
         let exponent = |v: f64| (v / std::f64::consts::LN_10).floor() as i32;
@@ -79,8 +79,8 @@ impl Axis {
         };
         let fine = ticks(&[1.0, 2.0, 5.0]);
         match fine.len() {
-            count if count < FEWEST_TICKS => RangedCoordf64::from(self.range()).key_points(BoldPoints(most)),
-            count if count > most => ticks(&[1.0]),
+            count if count < MIN_TICKS => RangedCoordf64::from(self.range()).key_points(BoldPoints(max)),
+            count if count > max => ticks(&[1.0]),
             _ => fine,
         }
     }
@@ -104,25 +104,25 @@ impl Ranged for Axis {
 }
 
 impl ValueFormatter<f64> for Axis {
-    /// No more digits than a tick has: the steps are round, their sums are not quite.
+    /// Rounds a tick: the steps are round numbers, but their floating-point sums are not.
     fn format(value: &f64) -> String {
         let rounded = (value * 1e6).round() / 1e6 + 0.0; // + 0.0: no "-0"
         rounded.to_string()
     }
 }
 
-/// What a frame says along its sides, and how many ticks there may be.
-pub(super) struct Sides<'a> {
+/// Labels of the axes, and the maximum number of ticks along y.
+pub(super) struct Labels<'a> {
     pub(super) x: &'a str,
     pub(super) y: &'a str,
     pub(super) y_ticks: usize,
 }
 
-/// A plot with its axes drawn, ready for curves.
+/// A plot with its axes, ready for curves.
 pub(super) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Axis, Axis>>;
 
-/// Draws the frame of a plot over the whole of `area`.
-pub(super) fn frame<'a, 'b>(area: &'a Canvas<'b>, x: Axis, y: Axis, sides: &Sides) -> Result<Chart<'a, 'b>, DrawError> {
+/// Draws the frame of a plot that fills `area`.
+pub(super) fn frame<'a, 'b>(area: &'a Canvas<'b>, x: Axis, y: Axis, labels: &Labels) -> Result<Chart<'a, 'b>, DrawError> {
     let mut chart = ChartBuilder::on(area)
         .margin(style::MARGIN)
         .margin_right(style::RIGHT_MARGIN)
@@ -131,14 +131,14 @@ pub(super) fn frame<'a, 'b>(area: &'a Canvas<'b>, x: Axis, y: Axis, sides: &Side
         .build_cartesian_2d(x, y)?;
     chart
         .configure_mesh()
-        .label_style(style::TYPE.into_text_style(area).color(&style::INK))
+        .label_style(style::FONT.into_text_style(area).color(&style::INK))
         .axis_style(style::INK)
         .bold_line_style(style::GRID)
         .light_line_style(TRANSPARENT)
         .x_labels(12)
-        .y_labels(sides.y_ticks)
-        .x_desc(sides.x)
-        .y_desc(sides.y)
+        .y_labels(labels.y_ticks)
+        .x_desc(labels.x)
+        .y_desc(labels.y)
         .draw()?;
     Ok(chart)
 }
@@ -152,19 +152,19 @@ mod tests {
     }
 
     #[test]
-    fn logarithmic_ticks_are_round_and_enough() {
+    fn logarithmic_ticks_are_round_and_not_too_few() {
         assert_eq!(ticks(1.0, 10.0), [1.0, 2.0, 5.0, 10.0]);
         assert_eq!(ticks(1e-3, 1e5).len(), 9);
-        assert!(ticks(6.0, 6.5).len() >= FEWEST_TICKS);
-        assert!(ticks(1.0, 1.0).len() >= FEWEST_TICKS);
+        assert!(ticks(6.0, 6.5).len() >= MIN_TICKS);
+        assert!(ticks(1.0, 1.0).len() >= MIN_TICKS);
     }
 
     #[test]
-    fn what_an_axis_holds_is_in_view() {
-        let holds = |scale: Scale, values: &[f64], value: f64| scale.axis(values.iter().copied()).range().contains(&value);
-        assert!(holds(Scale::FromZero, &[3.0, 4.0], 0.0) && holds(Scale::FromZero, &[-3.0, -1.0], -3.0));
-        assert!(holds(Scale::Linear, &[3.0, f64::NAN], 3.0) && !holds(Scale::Linear, &[3.0, 4.0], 0.0));
-        assert!(holds(Scale::Logarithmic, &[0.0, -1.0, 5.0], 5.0));
+    fn values_on_an_axis_are_in_view() {
+        let accepts = |scale: Scale, values: &[f64], value: f64| scale.axis(values.iter().copied()).range().contains(&value);
+        assert!(accepts(Scale::FromZero, &[3.0, 4.0], 0.0) && accepts(Scale::FromZero, &[-3.0, -1.0], -3.0));
+        assert!(accepts(Scale::Linear, &[3.0, f64::NAN], 3.0) && !accepts(Scale::Linear, &[3.0, 4.0], 0.0));
+        assert!(accepts(Scale::Logarithmic, &[0.0, -1.0, 5.0], 5.0));
         assert!(Scale::Logarithmic.axis([].into_iter()).is_finite());
         assert!(!Scale::Linear.axis([-1e308, 1e308].into_iter()).is_finite());
     }

@@ -1,8 +1,8 @@
-//! The errors of the aligned estimate over time: one panel for positions, one for headings.
+//! Panels of the errors of the aligned estimate over time: one for positions, one for headings.
 
 use super::axis::Scale;
 use super::curves::{Panel, Series};
-use super::style::{Colour, Look};
+use super::style::{Colour, Style};
 use crate::evaluation::association::MatchedPose;
 use crate::evaluation::ate::Ate;
 
@@ -15,6 +15,6 @@ pub(super) fn panels(ate: &Ate, matched: &[MatchedPose]) -> [Panel; 2] {
         y: quantity.into(),
         scales: (Scale::FromZero, Scale::FromZero),
         height: 220,
-        series: vec![Series { name: String::new(), look: Look::line(Colour::Blue, 3), points }],
+        series: vec![Series { name: String::new(), style: Style::line(Colour::Blue, 3), points }],
     })
 }

@@ -1,4 +1,4 @@
-//! Trajectories and curves as SVG pictures.
+//! Plots of trajectories and curves, as SVG pictures.
 
 mod axis;
 mod curves;
@@ -20,18 +20,18 @@ use crate::geometry::{Point, Pose2};
 use crate::output;
 pub use axis::Scale;
 pub use curves::{Panel, Series, curves};
-pub use style::{Colour, Dash, Look, Mark};
+pub use style::{Colour, Dash, Marker, Style};
 pub use top_view::Path;
 use top_view::TopView;
 
-/// Why a picture was not made.
+/// Why a plot failed.
 #[derive(Debug, Error)]
 pub enum PlotError {
     /// Estimate and truth hardly overlap in time.
     #[error(transparent)]
     Association(#[from] AssociationError),
-    /// Coordinates or errors near the end of the number range.
-    #[error("cannot draw: the numbers of the trajectory are too large (is it diverged, or are its columns mixed up?)")]
+    /// Coordinates or errors are too large to draw.
+    #[error("cannot draw: the numbers of the trajectory are too large (has it diverged, or are its columns mixed up?)")]
     TooLarge,
     /// The drawing failed.
     #[error("cannot draw: {0}")]
@@ -41,7 +41,7 @@ pub enum PlotError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }
@@ -49,10 +49,10 @@ pub enum PlotError {
 type DrawError = DrawingAreaErrorKind<io::Error>;
 type Canvas<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
-/// Draws the top view of a trajectory to an SVG file, over the points of its scans if given.
+/// Draws the top view of a trajectory to an SVG file, over its scan points if given.
 ///
-/// With truth the estimate is aligned to it (the scan points with it), and two panels show the errors over time; `max_dt` is the
-/// tolerance of the association in seconds.
+/// With truth, the estimate and the scan points are aligned with it, and two panels show the errors over time; `max_dt` is the
+/// tolerance of the association, s.
 pub fn trajectory_plot(
     path: &std::path::Path,
     estimate: &Trajectory,
@@ -65,33 +65,34 @@ pub fn trajectory_plot(
     let frame = ate.map_or(Pose2::IDENTITY, |ate| ate.truth_from_estimate);
     let name = ate.map_or("estimate".into(), |ate| format!("estimate (ATE {:.3} m rmse)", ate.errors.trans_m.rmse));
     let mut paths: Vec<_> = truth.map(true_path).into_iter().collect();
-    paths.push(Path { name, look: Look::line(Colour::Blue, style::ESTIMATE_WIDTH), points: positions(estimate, &frame) });
+    paths.push(Path { name, style: Style::line(Colour::Blue, style::ESTIMATE_WIDTH), points: positions(estimate, &frame) });
     let transform = frame.transform();
-    let beneath = scan_points.unwrap_or_default().iter().map(|p| transform.apply(*p)).collect();
+    let background = scan_points.unwrap_or_default().iter().map(|p| transform.apply(*p)).collect();
     let panels = ate.map(|ate| error_panels::panels(&ate, &matched));
-    let view = TopView { paths, beneath, beneath_name: "scans" };
+    let view = TopView { paths, background, background_name: "scans" };
     let svg = top_view_with(&view, panels.as_ref().map_or(&[], |panels| panels))?;
     write(path, &svg)
 }
 
-/// The truth as a path to be drawn first: wide, so that it is seen where an estimate covers it.
+/// The truth as a path to be drawn first: wide enough to show below an estimate.
 pub fn true_path(truth: &Trajectory) -> Path {
-    let look = Look::line(Colour::Orange, style::TRUTH_WIDTH);
-    Path { name: "truth".into(), look, points: positions(truth, &Pose2::IDENTITY) }
+    let style = Style::line(Colour::Orange, style::TRUTH_WIDTH);
+    Path { name: "truth".into(), style, points: positions(truth, &Pose2::IDENTITY) }
 }
 
-/// The positions of a trajectory in the frame that `frame` takes them to.
-pub fn positions(trajectory: &Trajectory, frame: &Pose2) -> Vec<Point> {
-    let transform = frame.transform();
+/// The positions of a trajectory, transformed by `transform`.
+pub fn positions(trajectory: &Trajectory, transform: &Pose2) -> Vec<Point> {
+    let transform = transform.transform();
     trajectory.poses().iter().map(|p| transform.apply(p.pose.translation())).collect()
 }
 
-/// Paths in the plane over points of scans or walls, `beneath_name`, as an SVG picture; marks at the ends of the last path.
-pub fn top_view(paths: Vec<Path>, beneath: Vec<Point>, beneath_name: &'static str) -> Result<String, PlotError> {
-    top_view_with(&TopView { paths, beneath, beneath_name }, &[])
+/// Renders paths over background points (scans or walls, named `background_name`) as an SVG picture, with markers at the ends of the
+/// last path.
+pub fn top_view(paths: Vec<Path>, background: Vec<Point>, background_name: &'static str) -> Result<String, PlotError> {
+    top_view_with(&TopView { paths, background, background_name }, &[])
 }
 
-/// Legend, top view and panels, one above the other.
+/// Renders legend, top view and panels, stacked vertically.
 fn top_view_with(view: &TopView, panels: &[Panel]) -> Result<String, PlotError> {
     let window = view.window();
     if !window.is_finite() || !panels.iter().all(Panel::is_finite) {
@@ -100,7 +101,7 @@ fn top_view_with(view: &TopView, panels: &[Panel]) -> Result<String, PlotError> 
     let entries = view.legend();
     let legend_height = legend::height(&entries);
     let view_height = window.height + style::SURROUND;
-    drawn(legend_height + view_height + panels.iter().map(Panel::total_height).sum::<u32>(), |root| {
+    render(legend_height + view_height + panels.iter().map(Panel::total_height).sum::<u32>(), |root| {
         let (legend, rest) = root.split_vertically(legend_height);
         legend::draw(&legend, &entries)?;
         let (top_view, rest) = rest.split_vertically(view_height);
@@ -109,16 +110,16 @@ fn top_view_with(view: &TopView, panels: &[Panel]) -> Result<String, PlotError> 
     })
 }
 
-/// A white picture of this height, drawn on by `draw`.
-fn drawn(height: u32, draw: impl FnOnce(&Canvas) -> Result<(), DrawError>) -> Result<String, PlotError> {
+/// Renders a white picture of this height; `draw` draws on it.
+fn render(height: u32, draw: impl FnOnce(&Canvas) -> Result<(), DrawError>) -> Result<String, PlotError> {
     let mut svg = String::new();
     let root = SVGBackend::with_string(&mut svg, (style::WIDTH, height)).into_drawing_area();
     root.fill(&WHITE).and_then(|()| draw(&root)).and_then(|()| root.present()).map_err(PlotError::Draw)?;
-    drop(root); // it holds on to the text
+    drop(root); // it borrows the text
     Ok(svg)
 }
 
-/// Writes a picture to a file.
+/// Writes an SVG picture to a file.
 pub fn write(path: &std::path::Path, svg: &str) -> Result<(), PlotError> {
     output::write(path, svg).map_err(|source| PlotError::Write { path: path.into(), source })
 }

@@ -1,31 +1,38 @@
-//! Sizes in pixels, colours, signs and type that all parts of a picture share.
+//! Sizes in pixels, colours, markers and fonts common to all parts of a picture.
 
 use plotters::element::{DynElement, IntoDynElement};
 use plotters::prelude::*;
 
-/// Width of the picture. The backend rounds to whole pixels: a wide picture, which browsers shrink, keeps curves smooth.
+/// Width of the picture. The backend rounds to whole pixels; a wide picture that browsers scale down keeps curves smooth.
 pub(super) const WIDTH: u32 = 1800;
+/// Margin of a plot.
 pub(super) const MARGIN: u32 = 24;
-/// Room for the half of the last label that stands out.
+/// Margin on the right, with room for the protruding half of the last label.
 pub(super) const RIGHT_MARGIN: u32 = 54;
+/// Height of the labels of the x axis.
 pub(super) const X_LABELS: u32 = 90;
+/// Width of the labels of the y axis.
 pub(super) const Y_LABELS: u32 = 130;
 /// Width of a plot without its labels.
 pub(super) const PLOT_WIDTH: u32 = WIDTH - MARGIN - RIGHT_MARGIN - Y_LABELS;
-/// What a plot needs above and below itself.
+/// Height of margins and labels above and below a plot.
 pub(super) const SURROUND: u32 = 2 * MARGIN + X_LABELS;
-pub(super) const TYPE: (&str, u32) = ("sans-serif", 36);
+/// Font and its size.
+pub(super) const FONT: (&str, u32) = ("sans-serif", 36);
 
+/// Line width of an estimated path.
 pub(super) const ESTIMATE_WIDTH: u32 = 4;
+/// Line width of the true path.
 pub(super) const TRUTH_WIDTH: u32 = 8;
 
+/// Colour of the grid lines.
 pub(super) const GRID: RGBColor = RGBColor(232, 234, 237);
+/// Colour of text and axes.
 pub(super) const INK: RGBColor = RGBColor(60, 60, 60);
 
-/// Colours distinct to colour-blind readers too: M. Okabe, K. Ito, Color Universal Design, 2008; a grey, and that of the
-/// type.
+/// Colours that colour-blind readers can distinguish (M. Okabe, K. Ito, Color Universal Design, 2008), a grey, and the colour of text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[allow(missing_docs)] // they are what they are called
+#[allow(missing_docs)] // the names say it all
 pub enum Colour {
     Blue,
     Orange,
@@ -38,7 +45,7 @@ pub enum Colour {
 }
 
 impl Colour {
-    /// The colours for curves that differ in one thing, in this order.
+    /// Colours for the curves of a plot, in this order.
     pub const CURVES: [Self; 6] = [Self::Blue, Self::Vermilion, Self::Green, Self::Purple, Self::Orange, Self::SkyBlue];
 
     pub(super) fn rgb(self) -> RGBColor {
@@ -55,54 +62,54 @@ impl Colour {
     }
 }
 
-/// How a line is broken.
+/// Dash pattern of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Dash {
-    /// There is no line.
+    /// No line.
     None,
     Solid,
     Dashed,
     Dotted,
 }
 
-/// The sign of a point.
+/// Marker of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(missing_docs)]
-pub enum Mark {
-    /// There is none.
+pub enum Marker {
+    /// No marker.
     None,
     Disc,
     Square,
     Triangle,
 }
 
-/// How a series is drawn.
+/// Style of a series.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Look {
-    /// Of line and marks.
+pub struct Style {
+    /// Colour of line and markers.
     pub colour: Colour,
-    /// 1: covers what is below.
+    /// Opacity, from 0 to 1 (opaque).
     pub opacity: f64,
     /// Width of the line, pixels.
     pub width: u32,
-    /// How the line is broken.
+    /// Dash pattern of the line.
     pub dash: Dash,
-    /// The sign of each point.
-    pub mark: Mark,
-    /// Radius of the signs, pixels.
-    pub mark_radius: u32,
+    /// Marker of each point.
+    pub marker: Marker,
+    /// Radius of the markers, pixels.
+    pub marker_radius: u32,
 }
 
-impl Look {
+impl Style {
     /// A solid line.
     pub const fn line(colour: Colour, width: u32) -> Self {
-        Self { colour, opacity: 1.0, width, dash: Dash::Solid, mark: Mark::None, mark_radius: 9 }
+        Self { colour, opacity: 1.0, width, dash: Dash::Solid, marker: Marker::None, marker_radius: 9 }
     }
 
-    /// Discs, and no line.
+    /// Discs without a line.
     pub const fn discs(colour: Colour, radius: u32) -> Self {
-        Self { dash: Dash::None, mark: Mark::Disc, mark_radius: radius, ..Self::line(colour, 0) }
+        Self { dash: Dash::None, marker: Marker::Disc, marker_radius: radius, ..Self::line(colour, 0) }
     }
 
     pub(super) fn stroke(self) -> ShapeStyle {
@@ -110,15 +117,15 @@ impl Look {
     }
 }
 
-/// The sign of a point at `centre`.
-pub(super) fn mark<'b>(centre: (i32, i32), look: Look) -> DynElement<'b, SVGBackend<'b>, (i32, i32)> {
-    let fill = look.colour.rgb().mix(look.opacity).filled();
-    let radius = look.mark_radius.cast_signed();
+/// The marker of a point at `centre`.
+pub(super) fn marker<'b>(centre: (i32, i32), style: Style) -> DynElement<'b, SVGBackend<'b>, (i32, i32)> {
+    let fill = style.colour.rgb().mix(style.opacity).filled();
+    let radius = style.marker_radius.cast_signed();
     let (x, y) = centre;
-    match look.mark {
-        Mark::None => EmptyElement::at(centre).into_dyn(),
-        Mark::Disc => Circle::new(centre, radius, fill).into_dyn(),
-        Mark::Square => Rectangle::new([(x - radius, y - radius), (x + radius, y + radius)], fill).into_dyn(),
-        Mark::Triangle => TriangleMarker::new(centre, radius + 2, fill).into_dyn(),
+    match style.marker {
+        Marker::None => EmptyElement::at(centre).into_dyn(),
+        Marker::Disc => Circle::new(centre, radius, fill).into_dyn(),
+        Marker::Square => Rectangle::new([(x - radius, y - radius), (x + radius, y + radius)], fill).into_dyn(),
+        Marker::Triangle => TriangleMarker::new(centre, radius + 2, fill).into_dyn(),
     }
 }

@@ -1,4 +1,4 @@
-//! Chunks: the compressed blocks of messages that a bag consists of.
+//! Chunks: the blocks of messages that a bag consists of, usually compressed.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -12,34 +12,35 @@ use super::connection::Connection;
 use super::error::{BagProblem, COPY_AGAIN, REINDEX};
 use super::record::{Fields, op, split_block};
 
-/// Largest chunk read, packed or unpacked. Recorders begin a new chunk after 768 KiB; only a larger message makes a larger chunk.
+/// Maximum size of a chunk that is read, compressed or decompressed, bytes. Recorders begin a new chunk after 768 KiB; only a
+/// larger message makes a larger chunk.
 const MAX_CHUNK_BYTES: u64 = 512 << 20;
 
-/// Where a chunk is and what it holds.
+/// Position of a chunk in the file, and a summary of its messages.
 pub(super) struct Chunk {
-    /// Start of its record.
+    /// Start of its record, bytes from the start of the file.
     pub(super) offset: u64,
-    /// Start of its packed bytes.
+    /// Start of its compressed data, bytes from the start of the file.
     pub(super) data_offset: u64,
-    /// Number of packed bytes that are in the file.
+    /// Number of compressed bytes that are in the file.
     pub(super) packed: u64,
-    /// Number of bytes after unpacking; 0 when the recorder had no time to write it.
+    /// Number of decompressed bytes; 0 if the recorder died before writing it.
     pub(super) size: u64,
     pub(super) compression: Compression,
     /// The file ends before the chunk does.
-    pub(super) cut_off: bool,
-    /// What it holds: from the bag's index, or from reading the chunk.
+    pub(super) is_truncated: bool,
+    /// Summary of its messages: from the bag's index, or from reading the chunk.
     pub(super) index: ChunkIndex,
-    /// An index record of it could not be read: only the chunk itself tells what it holds.
-    pub(super) badly_indexed: bool,
+    /// One of its index records could not be read, so that the chunk itself must be read to know its messages.
+    pub(super) has_bad_index: bool,
 }
 
-/// What a chunk holds, in short.
+/// Summary of the messages of a chunk.
 #[derive(Default)]
 pub(super) struct ChunkIndex {
     /// Number of messages by connection.
     pub(super) counts: BTreeMap<u32, u64>,
-    /// Times of the first and the last message; `None` without messages.
+    /// Recording times of the first and the last message; `None` without messages.
     pub(super) span: Option<(Stamp, Stamp)>,
 }
 
@@ -50,17 +51,17 @@ impl ChunkIndex {
     }
 }
 
-/// A chunk unpacked.
+/// A decompressed chunk.
 pub(super) struct Content {
     pub(super) bytes: Vec<u8>,
     /// Its messages in file order.
     pub(super) messages: Vec<Entry>,
     pub(super) connections: Vec<Connection>,
-    /// What could not be read of it.
+    /// The part of the chunk that could not be read, if any.
     pub(super) problem: Option<BagProblem>,
 }
 
-/// A message in a chunk's bytes.
+/// A message within the bytes of a chunk.
 pub(super) struct Entry {
     pub(super) time: Stamp,
     pub(super) connection: u32,
@@ -76,8 +77,8 @@ impl Content {
         index
     }
 
-    /// Reads records up to the first that makes no sense.
-    fn parse(bytes: Vec<u8>) -> (Self, Result<(), Stop>) {
+    /// Parses records up to the first invalid one.
+    fn parse(bytes: Vec<u8>) -> (Self, Result<(), ParseError>) {
         let mut content = Self { bytes: Vec::new(), messages: Vec::new(), connections: Vec::new(), problem: None };
         let mut at = 0;
         let outcome = loop {
@@ -86,7 +87,7 @@ impl Content {
             }
             match content.parse_record(&bytes, at) {
                 Ok(next) => at = next,
-                Err(reason) => break Err(Stop { at, reason }),
+                Err(reason) => break Err(ParseError { at, reason }),
             }
         };
         content.bytes = bytes;
@@ -104,37 +105,38 @@ impl Content {
                 connection: fields.u32("conn")?,
                 data: end - data.len()..end,
             }),
-            // Messages of one that cannot be read are said to be lost; the others are not.
+            // If a connection record is invalid, only the messages of that connection are lost, which is reported elsewhere.
             op::CONNECTION => self.connections.extend(Connection::parse(fields, data)),
-            other => return Err(format!("a record of kind {other} does not belong in a chunk")),
+            other => return Err(format!("a record of type {other} does not belong in a chunk")),
         }
         Ok(end)
     }
 }
 
 /// Where and why the parsing of a chunk stopped.
-struct Stop {
+struct ParseError {
+    /// Offset of the invalid record, bytes from the start of the decompressed chunk.
     at: usize,
     reason: String,
 }
 
 impl Chunk {
-    /// Reads the chunk. `Err` only when the file system refuses.
+    /// Reads the compressed bytes of the chunk. Returns `Err` only for errors of the file system.
     pub(super) fn read(&self, file: &mut File) -> io::Result<PackedChunk> {
-        let &Self { offset, packed, size, compression, cut_off, .. } = self;
+        let &Self { offset, packed, size, compression, is_truncated, .. } = self;
         let mut bytes = Vec::new();
         if !self.is_too_large() {
             file.seek(SeekFrom::Start(self.data_offset))?;
             file.take(packed).read_to_end(&mut bytes)?;
         }
-        Ok(PackedChunk { bytes, offset, packed, size, compression, cut_off, is_too_large: self.is_too_large() })
+        Ok(PackedChunk { bytes, offset, packed, size, compression, is_truncated, is_too_large: self.is_too_large() })
     }
 
-    /// Bytes that it takes in memory while it is unpacked, at most.
-    pub(super) fn memory(&self) -> u64 {
+    /// Maximum memory that decompressing the chunk takes, bytes.
+    pub(super) fn memory_bytes(&self) -> u64 {
         match self {
             _ if self.is_too_large() => 0,
-            Self { cut_off: true, .. } => MAX_CHUNK_BYTES,
+            Self { is_truncated: true, .. } => MAX_CHUNK_BYTES,
             Self { packed, size, .. } => packed + size,
         }
     }
@@ -144,31 +146,34 @@ impl Chunk {
     }
 }
 
-/// A chunk as it is in the file, with what there is to know to unpack it anywhere.
+/// The compressed bytes of a chunk, with all that is needed to decompress them on any thread.
 pub(super) struct PackedChunk {
     bytes: Vec<u8>,
     offset: u64,
     packed: u64,
     size: u64,
     compression: Compression,
-    cut_off: bool,
-    /// Its bytes were not read.
+    is_truncated: bool,
+    /// The chunk exceeds [`MAX_CHUNK_BYTES`], so its bytes were not read.
     is_too_large: bool,
 }
 
 impl PackedChunk {
-    /// Unpacks and parses the chunk; what is wrong with it, the content says.
+    /// Decompresses and parses the chunk. Damage is reported in [`Content::problem`].
     pub(super) fn unpack(mut self) -> Content {
         if self.is_too_large {
-            let what = format!("a chunk of {} bytes, unpacked {}: more than is read at once", self.packed, self.size);
-            return self.unusable(what, "`rosbag filter IN OUT True` writes usual chunks");
+            let what = format!(
+                "a chunk is too large: {} bytes, {} decompressed; the maximum is {MAX_CHUNK_BYTES}",
+                self.packed, self.size
+            );
+            return self.unusable(what, "`rosbag filter IN OUT True` writes chunks of the usual size");
         }
-        // A chunk that the recorder did not finish says nothing of its size.
-        let limit = if self.cut_off { MAX_CHUNK_BYTES } else { self.size };
+        // The header of a chunk that the recorder did not finish does not state its size.
+        let limit = if self.is_truncated { MAX_CHUNK_BYTES } else { self.size };
         let (bytes, unpacked) = self.compression.unpack(std::mem::take(&mut self.bytes), limit);
         match unpacked {
-            // Without the checksum at the end none of the bytes before can be trusted.
-            Err(error) if !self.cut_off => {
+            // Without the checksum at the end, none of the bytes can be trusted.
+            Err(error) if !self.is_truncated => {
                 self.unusable(format!("a damaged {} chunk ({error})", self.compression.name()), COPY_AGAIN)
             }
             _ => self.parse(bytes),
@@ -179,21 +184,21 @@ impl PackedChunk {
         let len = bytes.len();
         let (mut content, outcome) = Content::parse(bytes);
         content.problem = match outcome {
-            _ if self.cut_off => Some(BagProblem {
+            _ if self.is_truncated => Some(BagProblem {
                 offset: self.offset,
-                what: format!("the file ends inside a chunk, of which {} messages could be read", content.messages.len()),
-                bytes_lost: self.lost(len, outcome.err().map_or(len, |stop| stop.at)),
+                what: format!("the file ends inside a chunk; {} of its messages could be read", content.messages.len()),
+                bytes_lost: self.bytes_lost(len, outcome.err().map_or(len, |error| error.at)),
                 remedy: REINDEX,
             }),
-            Err(Stop { at, reason }) => Some(BagProblem {
+            Err(ParseError { at, reason }) => Some(BagProblem {
                 offset: self.offset,
-                what: format!("a damaged chunk, read up to its byte {at} of {len}: {reason}"),
+                what: format!("a damaged chunk, readable only up to byte {at} of {len}: {reason}"),
                 bytes_lost: (len - at) as u64,
                 remedy: COPY_AGAIN,
             }),
             Ok(()) if (len as u64) < self.size => Some(BagProblem {
                 offset: self.offset,
-                what: format!("a chunk said to be {} bytes holds {len} only", self.size),
+                what: format!("a chunk should have {} bytes, but has only {len}", self.size),
                 bytes_lost: self.size - len as u64,
                 remedy: COPY_AGAIN,
             }),
@@ -202,8 +207,8 @@ impl PackedChunk {
         content
     }
 
-    /// Bytes lost of a chunk that was cut off: of a packed one that gave nothing, all.
-    fn lost(&self, len: usize, used: usize) -> u64 {
+    /// Bytes lost of a truncated chunk: all compressed bytes if nothing could be decompressed.
+    fn bytes_lost(&self, len: usize, used: usize) -> u64 {
         if len == 0 { self.packed } else { (len - used) as u64 }
     }
 

@@ -1,4 +1,4 @@
-//! How chunks are compressed: not at all, by bzip2, by LZ4.
+//! Compression of chunks: none, bzip2 or LZ4.
 
 use std::io::{self, Read, Write};
 
@@ -7,11 +7,11 @@ use lz4_flex::frame::{BlockMode, BlockSize, FrameDecoder, FrameEncoder, FrameInf
 crate::choices! {
     /// Compression of the chunks of a bag.
     pub enum Compression {
-        /// Not at all: fastest to write.
+        /// No compression: fastest to write.
         None = "none",
         /// Small but slow.
         Bz2 = "bz2",
-        /// Fast, and nearly as small.
+        /// Fast, and almost as small as bz2.
         Lz4 = "lz4",
     }
 }
@@ -30,7 +30,7 @@ impl Compression {
                 encoder.finish()
             }
             Self::Lz4 => {
-                // The decoder of ROS takes independent blocks only, without checksums of their own.
+                // The decoder of ROS accepts only independent blocks without block checksums.
                 let frame =
                     FrameInfo::new().block_mode(BlockMode::Independent).block_size(BlockSize::Max64KB).content_checksum(true);
                 let mut encoder = FrameEncoder::with_frame_info(frame, Vec::new());
@@ -40,7 +40,8 @@ impl Compression {
         }
     }
 
-    /// Unpacks at most `limit` bytes. When the packed bytes are damaged or cut off, what came out before is there too.
+    /// Decompresses at most `limit` bytes. If the compressed bytes are damaged or truncated, returns what was decompressed up to
+    /// there, together with the error.
     pub(super) fn unpack(self, packed: Vec<u8>, limit: u64) -> (Vec<u8>, io::Result<()>) {
         let mut bytes = Vec::new();
         let outcome = match self {

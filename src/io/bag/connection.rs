@@ -1,4 +1,4 @@
-//! Connections: who published what on which topic.
+//! Connections: one for each publisher and topic.
 
 use std::borrow::Cow;
 
@@ -14,39 +14,39 @@ const UNKNOWN: Cow<'static, str> = Cow::Borrowed("*");
 pub struct Connection {
     /// Number within the bag.
     pub id: u32,
-    /// Topic, as recorded.
+    /// Name of the topic, as recorded.
     pub topic: String,
     /// Type of the messages: `package/Name`.
     pub message_type: String,
-    /// Checksum of the type's definition; `*` when the publisher, or the recorder, did not tell.
+    /// MD5 sum of the type's definition; `*` if the publisher or the recorder did not give it.
     pub md5: String,
     /// The full definition of the type.
     pub definition: String,
-    /// Whether late subscribers get the last message.
+    /// Whether the topic is latched: late subscribers get the last message.
     pub latching: bool,
     /// Number of its messages in the bag.
     pub messages: u64,
 }
 
 impl Connection {
-    /// Whether its messages have the wire form of `T`. A type that was renamed and not changed (`tf/tfMessage`) serves too.
+    /// Whether its messages can be decoded as `T`. A type that was renamed but not changed (`tf/tfMessage`) is accepted, too.
     pub fn carries<T: Message>(&self) -> bool {
         match self.md5.as_str() {
-            "*" => self.message_type == T::TYPE || self.message_type == "*" || self.is_defined_as(&T::definition().text),
+            "*" => self.message_type == T::TYPE || self.message_type == "*" || self.has_definition(&T::definition().text),
             md5 => md5 == T::definition().md5,
         }
     }
 
-    /// Whether its definition is this one, but for comments and spaces.
-    fn is_defined_as(&self, definition: &str) -> bool {
+    /// Whether its definition equals this one, apart from comments and white space.
+    fn has_definition(&self, definition: &str) -> bool {
         fn words(text: &str) -> impl Iterator<Item = &str> {
             text.lines().flat_map(|line| line.split('#').next().unwrap_or_default().split_whitespace())
         }
         !self.definition.is_empty() && words(&self.definition).eq(words(definition))
     }
 
-    /// From the header and data of a connection record. The data is itself a header: that of the TCP connection. Only the number and
-    /// the topic cannot be done without.
+    /// Parses the header and data of a connection record. The data is itself a header: that of the TCP connection. Only the
+    /// number and the topic are required.
     pub(super) fn parse(record: Fields<'_>, data: &[u8]) -> Result<Self, String> {
         let header = Fields(data);
         Ok(Self {

@@ -1,4 +1,4 @@
-//! What can be wrong with a bag: errors end the reading, problems are losses after which it continues.
+//! Errors and problems of a bag: an error ends the reading; after a problem, which is a loss of data, reading continues.
 
 use std::fmt;
 use std::io;
@@ -9,28 +9,28 @@ use thiserror::Error;
 use crate::messages::DecodeError;
 use crate::time::Stamp;
 
-/// Why a bag cannot be read or written. As usual the text leaves out that of the `source`; `anyhow`'s `{:#}` adds it.
+/// Why a bag cannot be read or written. As usual, the message does not include that of the `source`; `anyhow`'s `{:#}` adds it.
 #[derive(Debug, Error)]
 pub enum BagError {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("cannot {action} {}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What was tried: `open`, `read`, ...
+        /// The operation that failed: `open`, `read`, ...
         action: &'static str,
-        /// Its answer.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// The file is something else.
+    /// The file is not a bag.
     #[error("{} is not a ROS 1 bag: {reason}", path.display())]
     NotABag {
         /// The file.
         path: PathBuf,
-        /// What was found instead.
+        /// How the file differs from a bag.
         reason: String,
     },
-    /// A bag, but of a kind that this reader does not read.
+    /// A bag of a kind that this reader does not support.
     #[error("{} is {what}; {remedy}", path.display())]
     Unsupported {
         /// The file.
@@ -45,9 +45,9 @@ pub enum BagError {
     NoSuchTopic {
         /// The file.
         path: PathBuf,
-        /// The topic asked for.
+        /// The requested topic.
         topic: String,
-        /// The topics that could have been meant, in words.
+        /// Text that lists the topics with messages of the requested type.
         alternatives: String,
     },
     /// The topic carries messages of another type.
@@ -59,12 +59,13 @@ pub enum BagError {
         topic: String,
         /// Its type.
         found: String,
-        /// The type asked for.
+        /// The requested type.
         expected: &'static str,
     },
-    /// The type has the right name, but was defined otherwise when it was recorded.
+    /// The type has the right name, but another definition than when it was recorded.
     #[error(
-        "{}: topic {topic} carries another version of {message_type} (md5 {found}, needed {expected}); `rosbag fix` brings bags up to date",
+        "{}: topic {topic} carries another version of {message_type} (md5 {found}, needed {expected}); \
+         convert the bag with `rosbag fix`",
         path.display()
     )]
     WrongVersion {
@@ -74,26 +75,26 @@ pub enum BagError {
         topic: String,
         /// Name of the type.
         message_type: &'static str,
-        /// Checksum of the recorded definition.
+        /// MD5 sum of the recorded definition.
         found: String,
-        /// Checksum of the definition asked for.
+        /// MD5 sum of the requested definition.
         expected: &'static str,
     },
-    /// The bytes of a message do not fit its type.
-    #[error("{}: the message of {time} s on {topic} (chunk at byte {chunk_offset}) cannot be decoded", path.display())]
+    /// The bytes of a message do not match its type.
+    #[error("{}: cannot decode the message on {topic} recorded at {time} s (chunk at byte {chunk_offset})", path.display())]
     Decode {
         /// The file.
         path: PathBuf,
         /// The topic.
         topic: String,
-        /// When it was recorded.
+        /// Time of recording.
         time: Stamp,
-        /// Where the chunk that holds it begins.
+        /// Start of the chunk that contains it, bytes from the start of the file.
         chunk_offset: u64,
-        /// What does not fit.
+        /// How it differs from its type.
         source: DecodeError,
     },
-    /// A message that cannot go into the bag being written.
+    /// A message that cannot be written to a bag.
     #[error("cannot write to {} on {topic}: {reason}", path.display())]
     Unwritable {
         /// The file.
@@ -106,7 +107,7 @@ pub enum BagError {
 }
 
 impl BagError {
-    /// For `map_err` after a file operation.
+    /// Makes an [`BagError::Io`]: for `map_err` after a file operation.
     pub(super) fn io<'a>(path: &'a Path, action: &'static str) -> impl FnOnce(io::Error) -> Self + use<'a> {
         move |source| Self::Io { path: path.to_path_buf(), action, source }
     }
@@ -119,7 +120,7 @@ pub struct BagProblem {
     pub offset: u64,
     /// What is wrong there.
     pub what: String,
-    /// Bytes of the file that went unused.
+    /// Bytes that could not be used.
     pub bytes_lost: u64,
     /// What to do about it.
     pub remedy: &'static str,
@@ -135,7 +136,7 @@ impl fmt::Display for BagProblem {
     }
 }
 
-/// The bag was not closed, or not copied whole.
-pub(super) const REINDEX: &str = "`rosbag reindex` repairs a copy";
-/// The bytes are there, but wrong.
-pub(super) const COPY_AGAIN: &str = "copy the bag again from where it was recorded";
+/// Remedy for a bag that was not closed, or not copied completely.
+pub(super) const REINDEX: &str = "run `rosbag reindex` on a copy of the bag";
+/// Remedy for a bag with corrupted bytes.
+pub(super) const COPY_AGAIN: &str = "copy the bag again from the machine that recorded it";

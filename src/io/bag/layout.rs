@@ -1,4 +1,4 @@
-//! The first pass over a bag: from record header to record header, seeking past the chunks.
+//! The first pass over a bag: reads the record headers and seeks past the chunks.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -10,38 +10,38 @@ use super::connection::Connection;
 use super::error::{BagProblem, COPY_AGAIN, REINDEX};
 use super::record::{Fields, op, stamp_from_bytes};
 
-/// Largest record header accepted. Real ones are far below 1 KiB: the longest text in them is a topic.
+/// Maximum size of a record header, bytes. Real ones are far below 1 KiB: the longest text in them is a topic.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
-/// Largest connection record accepted. Its longest text is a message definition.
+/// Maximum size of the data of a connection record, bytes. Its longest text is a message definition.
 const MAX_CONNECTION_BYTES: u64 = 1 << 24;
-/// Time and place of a message in an index record.
+/// Size of an entry of an index record, bytes: time of a message and its offset in the chunk.
 const INDEX_ENTRY_BYTES: u64 = 12;
-/// Problems reported at most: a file of garbage has one every few bytes.
+/// Maximum number of problems reported: a file of garbage has one every few bytes.
 pub(super) const MAX_PROBLEMS: usize = 100;
 
-/// What the records outside of the chunks tell.
+/// The content of the records outside the chunks.
 #[derive(Default)]
 pub(super) struct Layout {
     /// In file order.
     pub(super) chunks: Vec<Chunk>,
     pub(super) connections: BTreeMap<u32, Connection>,
     pub(super) problems: Vec<BagProblem>,
-    /// The index is there and was read to its end.
+    /// The bag has an index, and all of it could be read.
     pub(super) complete: bool,
-    /// Name of the plugin that encrypted the chunks; empty when they are not.
+    /// Name of the plugin that encrypted the chunks; empty if they are not encrypted.
     pub(super) encryptor: String,
 }
 
 impl Layout {
-    /// Reads the layout from the first record on.
+    /// Reads the layout, beginning with the first record at `start`; `len` is the length of the file.
     pub(super) fn read(file: &File, start: u64, len: u64) -> io::Result<Self> {
         let mut pass = Pass {
             input: BufReader::new(file),
             position: start,
             len,
-            promised: Promised::default(),
+            bag_header: BagHeader::default(),
             chunk_infos: 0,
-            landmarks: None,
+            resume_points: None,
             layout: Self::default(),
         };
         loop {
@@ -52,23 +52,25 @@ impl Layout {
             match pass.record() {
                 Ok(()) => {}
                 Err(Stop::Io(error)) => return Err(error),
-                Err(Stop::Damage(what)) => pass.go_on_after(offset, what)?,
+                Err(Stop::Damage(what)) => pass.resume_after_damage(offset, what)?,
             }
         }
         Ok(pass.finish())
     }
 }
 
-/// What the bag header says there is.
+/// The bag header record.
 #[derive(Default)]
-struct Promised {
-    /// Where the index begins; 0 when it was never written.
+struct BagHeader {
+    /// Offset of the index; 0 if it was never written.
     index_at: u64,
+    /// Number of chunks.
     chunks: u32,
+    /// Number of connection records.
     connections: u32,
 }
 
-/// Why the pass ended early.
+/// Why a record could not be read.
 enum Stop {
     Io(io::Error),
     Damage(String),
@@ -90,10 +92,10 @@ struct Pass<'f> {
     input: BufReader<&'f File>,
     position: u64,
     len: u64,
-    promised: Promised,
+    bag_header: BagHeader,
     chunk_infos: usize,
-    /// Where reading can resume after damage; `None` while there was none.
-    landmarks: Option<Vec<u64>>,
+    /// Offsets where reading can resume after damage; `None` as long as no damage was found.
+    resume_points: Option<Vec<u64>>,
     layout: Layout,
 }
 
@@ -106,7 +108,7 @@ impl Pass<'_> {
         let fields = Fields(&header);
         match fields.op()? {
             op::BAG_HEADER => {
-                self.promised = Promised {
+                self.bag_header = BagHeader {
                     index_at: fields.u64("index_pos")?,
                     chunks: fields.u32("chunk_count")?,
                     connections: fields.u32("conn_count")?,
@@ -135,7 +137,7 @@ impl Pass<'_> {
                 self.skip(data_len)?;
                 self.problem(BagProblem {
                     offset,
-                    what: format!("a record of kind {other} outside of any chunk"),
+                    what: format!("a record of unexpected type {other} outside any chunk"),
                     bytes_lost: self.position - offset,
                     remedy: COPY_AGAIN,
                 });
@@ -144,38 +146,38 @@ impl Pass<'_> {
         }
     }
 
-    /// Notes a record that makes no sense, and goes on at the next place that the index at the end knows.
-    fn go_on_after(&mut self, offset: u64, what: String) -> io::Result<()> {
-        if self.landmarks.is_none() {
-            self.landmarks = Some(self.find_landmarks()?);
+    /// Records the problem of an invalid record, and resumes at the next offset that the index at the end of the file gives.
+    fn resume_after_damage(&mut self, offset: u64, what: String) -> io::Result<()> {
+        if self.resume_points.is_none() {
+            self.resume_points = Some(self.find_resume_points()?);
         }
-        let ahead = self.landmarks.iter().flatten().copied().filter(|place| *place > offset);
+        let ahead = self.resume_points.iter().flatten().copied().filter(|point| *point > offset);
         let next = ahead.min().unwrap_or(self.len);
-        let remedy = if self.promised.index_at == 0 { REINDEX } else { COPY_AGAIN };
+        let remedy = if self.bag_header.index_at == 0 { REINDEX } else { COPY_AGAIN };
         self.problem(BagProblem { offset, what, bytes_lost: next - offset, remedy });
-        self.doubt_index();
-        self.go_to(next)
+        self.mark_index_bad();
+        self.seek_to(next)
     }
 
-    /// Where chunks begin, and the index, as far as the file has them.
-    fn find_landmarks(&mut self) -> io::Result<Vec<u64>> {
-        let index_at = self.promised.index_at;
+    /// Offsets of the index and of the chunks, as far as the file has them.
+    fn find_resume_points(&mut self) -> io::Result<Vec<u64>> {
+        let index_at = self.bag_header.index_at;
         if index_at == 0 || index_at >= self.len {
             return Ok(Vec::new());
         }
-        let mut places = vec![index_at];
-        self.go_to(index_at)?;
+        let mut offsets = vec![index_at];
+        self.seek_to(index_at)?;
         loop {
-            match self.chunk_place() {
-                Ok(place) => places.extend(place.filter(|place| *place < self.len)),
-                Err(Stop::Damage(_)) => return Ok(places),
+            match self.read_chunk_offset() {
+                Ok(offset) => offsets.extend(offset.filter(|offset| *offset < self.len)),
+                Err(Stop::Damage(_)) => return Ok(offsets),
                 Err(Stop::Io(error)) => return Err(error),
             }
         }
     }
 
-    /// Reads past a record; tells where its chunk begins if it is a chunk info.
-    fn chunk_place(&mut self) -> Result<Option<u64>, Stop> {
+    /// Reads past a record. Returns the offset of the chunk if the record is a chunk info.
+    fn read_chunk_offset(&mut self) -> Result<Option<u64>, Stop> {
         let header_len = self.u32()?;
         let header = self.bytes(header_len, MAX_HEADER_BYTES)?;
         let data_len = self.u32()?;
@@ -187,8 +189,8 @@ impl Pass<'_> {
     fn chunk(&mut self, offset: u64, fields: Fields<'_>, data_len: u64) -> Result<(), Stop> {
         let size = u64::from(fields.u32("size")?);
         let remaining = self.len - self.position;
-        // A recorder fills in the lengths of a chunk when it is full: those of the one it died in are still zero.
-        let unfinished = data_len == 0 && size == 0 && self.promised.index_at == 0;
+        // A recorder fills in the lengths of a chunk once it is full. If the recorder died before, they are still zero.
+        let unfinished = data_len == 0 && size == 0 && self.bag_header.index_at == 0;
         let packed = if unfinished { remaining } else { data_len.min(remaining) };
         let name = fields.bytes("compression")?;
         if let Some(compression) = Compression::from_name(name) {
@@ -198,32 +200,34 @@ impl Pass<'_> {
                 packed,
                 size,
                 compression,
-                cut_off: unfinished || data_len > remaining,
+                is_truncated: unfinished || data_len > remaining,
                 index: ChunkIndex::default(),
-                badly_indexed: false,
+                has_bad_index: false,
             });
         } else {
             self.problem(BagProblem {
                 offset,
-                what: format!("a chunk packed by an unknown method `{}`", String::from_utf8_lossy(name)),
+                what: format!("a chunk of unknown compression `{}`", String::from_utf8_lossy(name)),
                 bytes_lost: packed,
-                remedy: "repack it with `rosbag decompress` where the method is known",
+                remedy: "decompress the bag with `rosbag decompress` on a machine that supports this compression",
             });
         }
         self.skip(packed)
     }
 
-    /// The times of one connection's messages in the chunk before. An index that cannot be read costs nothing: its chunk is read instead.
+    /// Reads an index record: the times of one connection's messages in the preceding chunk. If it is invalid, nothing is lost:
+    /// the chunk is read instead.
     fn index(&mut self, fields: Fields<'_>, data_len: u64) -> Result<(), Stop> {
         let start = self.position;
         if let (Ok(1), Ok(connection), Ok(count)) = (fields.u32("ver"), fields.u32("conn"), fields.u32("count")) {
             let entries = u64::from(count) * INDEX_ENTRY_BYTES;
-            // An old recorder wrote another length than that of the entries: the count holds where a record comes after so many.
-            if entries == data_len || self.is_record(start + entries)? {
+            // An old recorder wrote a wrong data length. The entry count is right if another record follows after that many
+            // entries.
+            if entries == data_len || self.is_record_at(start + entries)? {
                 return self.index_entries(connection, count);
             }
         }
-        self.doubt_index();
+        self.mark_index_bad();
         self.skip(data_len)
     }
 
@@ -239,33 +243,33 @@ impl Pass<'_> {
         Ok(())
     }
 
-    /// The last chunk is to be read, whatever its index says.
-    fn doubt_index(&mut self) {
+    /// Makes the reader read the last chunk itself instead of relying on its index.
+    fn mark_index_bad(&mut self) {
         if let Some(chunk) = self.layout.chunks.last_mut() {
-            chunk.badly_indexed = true;
+            chunk.has_bad_index = true;
         }
     }
 
-    /// Whether a record begins at `place`, or the file ends there.
-    fn is_record(&mut self, place: u64) -> io::Result<bool> {
-        let back = self.position;
-        if place >= self.len {
-            return Ok(place == self.len);
+    /// Whether a record begins at `offset`, or the file ends there.
+    fn is_record_at(&mut self, offset: u64) -> io::Result<bool> {
+        let position = self.position;
+        if offset >= self.len {
+            return Ok(offset == self.len);
         }
-        self.go_to(place)?;
+        self.seek_to(offset)?;
         let header = self.u32().and_then(|len| self.bytes(len, MAX_HEADER_BYTES));
         let is_record = match header {
             Ok(header) => Fields(&header).op().is_ok(),
             Err(Stop::Damage(_)) => false,
             Err(Stop::Io(error)) => return Err(error),
         };
-        self.go_to(back)?;
+        self.seek_to(position)?;
         Ok(is_record)
     }
 
-    fn go_to(&mut self, place: u64) -> io::Result<()> {
-        self.input.seek(SeekFrom::Start(place))?;
-        self.position = place;
+    fn seek_to(&mut self, offset: u64) -> io::Result<()> {
+        self.input.seek(SeekFrom::Start(offset))?;
+        self.position = offset;
         Ok(())
     }
 
@@ -276,14 +280,14 @@ impl Pass<'_> {
     }
 
     fn finish(mut self) -> Layout {
-        let Promised { index_at, chunks, connections } = self.promised;
+        let BagHeader { index_at, chunks, connections } = self.bag_header;
         let found = (self.layout.chunks.len(), self.layout.connections.len(), self.chunk_infos);
         let complete = found.0 >= chunks as usize && found.1 >= connections as usize && found.2 >= chunks as usize;
         self.layout.complete = index_at != 0 && self.layout.problems.is_empty() && complete;
         if index_at == 0 {
             self.layout.problems.push(BagProblem {
                 offset: 0,
-                what: "the bag was not closed and has no index; its messages can be read without".into(),
+                what: "the bag was not closed and has no index; its messages can still be read".into(),
                 bytes_lost: 0,
                 remedy: REINDEX,
             });
@@ -291,11 +295,12 @@ impl Pass<'_> {
             self.layout.problems.push(BagProblem {
                 offset: self.len,
                 what: format!(
-                    "the file ends before its index does: {} of {chunks} chunks and {} of {connections} connection records are there",
+                    "the file ends before its index does: it has {} of {chunks} chunks and {} of {connections} connection \
+                     records",
                     found.0, found.1
                 ),
                 bytes_lost: index_at.saturating_sub(self.len),
-                remedy: "copy the whole bag again, or `rosbag reindex` a copy of this part",
+                remedy: "copy the whole bag again, or run `rosbag reindex` on a copy of this file",
             });
         }
         self.layout
@@ -322,7 +327,7 @@ impl Pass<'_> {
 
     fn bytes(&mut self, len: u64, limit: u64) -> Result<Vec<u8>, Stop> {
         if len > limit {
-            return Err(Stop::Damage(format!("a length of {len} bytes where at most {limit} make sense")));
+            return Err(Stop::Damage(format!("a length field gives {len} bytes, but at most {limit} are allowed")));
         }
         self.check_remaining(len)?;
         let mut bytes = Vec::new();

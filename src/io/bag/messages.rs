@@ -1,4 +1,4 @@
-//! The messages of a bag in the order of their times.
+//! Iterates over the messages of a bag in the order of their recording times.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, VecDeque};
@@ -12,24 +12,24 @@ use super::error::BagError;
 use super::read_ahead::ReadAhead;
 use super::reader::Bag;
 
-/// Unpacked chunks kept at a time. Chunks overlap by a few messages as a rule; should all of a bag overlap, those not needed for
-/// longest are dropped and read again.
-const MAX_HELD_BYTES: usize = 256 << 20;
+/// Maximum size of all decompressed chunks kept in memory at a time, bytes. Chunks usually overlap by only a few messages. If all
+/// chunks of a bag overlap, the chunks needed last are dropped and read again later.
+const MAX_CACHED_BYTES: usize = 256 << 20;
 
 /// A message as recorded.
 pub struct BagMessage<'bag> {
     bag: &'bag Bag,
     chunk: usize,
-    /// Its topic and type.
+    /// Topic and type.
     pub connection: &'bag Connection,
-    /// When it was recorded.
+    /// Time of recording.
     pub time: Stamp,
-    /// Its wire form.
+    /// The serialized message.
     pub data: Vec<u8>,
 }
 
 impl BagMessage<'_> {
-    /// The message, if it is of type `T`.
+    /// Deserializes the message; an error if it is not of type `T`.
     pub fn decode<T: Message>(&self) -> Result<T, BagError> {
         self.bag.check_type::<T>(self.connection)?;
         messages::decode(&self.data).map_err(|source| BagError::Decode {
@@ -43,34 +43,34 @@ impl BagMessage<'_> {
 }
 
 impl Bag {
-    /// The messages on `topics` (`None`: on all) by the time of their recording; equal times in file order.
+    /// The messages on `topics` (`None`: on all topics), sorted by recording time; messages of equal times stay in file order.
     ///
-    /// Damaged chunks are passed over and noted in [`Bag::problems`]; an `Err` means that the file could not be read.
+    /// Damaged chunks are skipped and listed in [`Bag::problems`]; an `Err` means that the file could not be read.
     pub fn messages(&self, topics: Option<&[&str]>) -> Messages<'_> {
         Messages::new(self, self.connections_of(topics).map(|connection| (connection.id, connection)).collect())
     }
 }
 
-/// Iterator of [`Bag::messages`]: merges the chunks, which overlap in time.
+/// Iterator returned by [`Bag::messages`]: merges the chunks, which overlap in time.
 pub struct Messages<'bag> {
     bag: &'bag Bag,
     wanted: BTreeMap<u32, &'bag Connection>,
-    /// Chunks not begun, by the time of their first message, with that time.
+    /// Chunks not opened yet: time of the first message and chunk number, sorted by that time.
     waiting: VecDeque<(Stamp, usize)>,
-    /// Unpacks these.
+    /// Decompresses the waiting chunks.
     ahead: ReadAhead<'bag>,
-    /// Chunks begun, by their place in the file.
+    /// Chunks with messages still to return, by chunk number.
     open: BTreeMap<usize, OpenChunk<'bag>>,
-    /// Time of the next message of each open chunk.
+    /// Time of the next message of each open chunk, and the chunk number.
     next: BinaryHeap<Reverse<(Stamp, usize)>>,
-    /// Unpacked bytes of the open chunks.
-    held: usize,
+    /// Decompressed bytes of all open chunks.
+    cached_bytes: usize,
 }
 
 struct OpenChunk<'bag> {
-    /// Empty while dropped to save memory.
+    /// Decompressed bytes; empty while dropped to save memory.
     bytes: Vec<u8>,
-    /// Messages to come, by time.
+    /// Messages still to return, sorted by time.
     messages: VecDeque<(&'bag Connection, Entry)>,
 }
 
@@ -85,10 +85,10 @@ impl<'bag> Messages<'bag> {
             .collect();
         waiting.sort_unstable();
         let ahead = ReadAhead::new(bag, waiting.iter().map(|(_, chunk)| *chunk).collect());
-        Self { bag, wanted, waiting: waiting.into(), ahead, open: BTreeMap::new(), next: BinaryHeap::new(), held: 0 }
+        Self { bag, wanted, waiting: waiting.into(), ahead, open: BTreeMap::new(), next: BinaryHeap::new(), cached_bytes: 0 }
     }
 
-    /// Opens every chunk that may hold a message before the next one of the open chunks.
+    /// Opens every chunk that may contain a message earlier than the next one of the open chunks.
     fn open_chunks(&mut self) -> Result<(), BagError> {
         while let Some(&(start, chunk)) = self.waiting.front() {
             if self.next.peek().is_some_and(|Reverse((time, _))| *time < start) {
@@ -109,13 +109,13 @@ impl<'bag> Messages<'bag> {
         Ok(())
     }
 
-    /// Counts `bytes` more in memory; above the limit, drops the chunks that are needed last.
+    /// Accounts for `bytes` more in memory; above the limit, drops the chunks that are needed last.
     fn make_room(&mut self, bytes: usize) {
-        self.held += bytes;
-        while self.held > MAX_HELD_BYTES {
+        self.cached_bytes += bytes;
+        while self.cached_bytes > MAX_CACHED_BYTES {
             let loaded = self.open.values_mut().filter(|open| !open.bytes.is_empty());
             let Some(latest) = loaded.max_by_key(|open| open.messages.front().map(|(_, entry)| entry.time)) else { break };
-            self.held -= latest.bytes.len();
+            self.cached_bytes -= latest.bytes.len();
             latest.bytes = Vec::new();
         }
     }
@@ -134,7 +134,7 @@ impl<'bag> Messages<'bag> {
             self.next.push(Reverse((following.time, chunk)));
             self.open.insert(chunk, open);
         } else {
-            self.held -= open.bytes.len();
+            self.cached_bytes -= open.bytes.len();
         }
         Ok(Some(BagMessage { bag: self.bag, chunk, connection, time, data }))
     }
@@ -146,7 +146,7 @@ impl<'bag> Iterator for Messages<'bag> {
     fn next(&mut self) -> Option<Self::Item> {
         let item = self.read_next().transpose();
         if matches!(item, Some(Err(_))) {
-            // A file system error would only repeat: the iteration ends here.
+            // A file system error would only repeat, so the iteration ends here.
             self.waiting.clear();
             self.next.clear();
         }

@@ -1,8 +1,9 @@
 //! ROS 1 bags, format 2.0.
 //!
-//! The reader makes one pass over the record headers (seeking past the chunks), then unpacks chunk by chunk, a few ahead on other cores:
-//! memory stays bounded however large the bag. It reads bags without an index (as a killed recorder leaves them) and bags cut off at any byte; what it
-//! could not read it says in [`Bag::problems`]. The `rosbag` crate needs a sound index and panics without one, hence this module.
+//! The reader makes one pass over the record headers (seeking past the chunks). It then decompresses chunk by chunk, a few ahead
+//! on other cores, so that memory stays bounded however large the bag is. It also reads bags without an index (as a killed
+//! recorder leaves them) and bags truncated at any byte; [`Bag::problems`] lists what it could not read. This module exists
+//! because the `rosbag` crate needs an intact index and panics without one.
 
 mod chunk;
 mod compression;

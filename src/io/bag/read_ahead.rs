@@ -1,4 +1,4 @@
-//! Decompresses chunks ahead on other cores: decompressing bz2 takes longer than matching the scans in it.
+//! Decompresses chunks ahead of time on other cores: decompressing bz2 takes longer than matching the scans in it.
 
 use std::collections::VecDeque;
 use std::num::NonZero;
@@ -11,35 +11,36 @@ use super::compression::Compression;
 use super::error::BagError;
 use super::reader::Bag;
 
-/// Chunks read ahead at most, for each core: while one is unpacked another is ready.
+/// Maximum number of chunks read ahead for each core: while one is decompressed, another is ready.
 const CHUNKS_PER_CORE: usize = 2;
-/// Bytes that they take at most; one chunk may take more.
+/// Maximum memory of the chunks read ahead, bytes; a single chunk may exceed it.
 const MAX_BYTES: u64 = 64 << 20;
-/// Cores used at most: with more, decompression is faster than anything that consumes the messages.
+/// Maximum number of cores: with more, decompression is faster than anything that consumes the messages.
 const MAX_CORES: usize = 4;
 
-/// Gives the chunks of a bag in a given order. The file is read here and now, in that order; other threads unpack what was read, and so does
-/// this one where it would have to wait. Losses are noted when a chunk is given out, as if it had been read then.
+/// Returns the chunks of a bag in a given order. The calling thread reads the file in that order; worker threads decompress, and
+/// the calling thread helps when it would otherwise wait. The problem of a chunk is recorded when the chunk is returned, as if it
+/// had been read only then.
 pub(super) struct ReadAhead<'bag> {
     bag: &'bag Bag,
     /// Chunks not read yet.
-    to_come: VecDeque<usize>,
-    /// Chunks read, in their order.
-    ahead: VecDeque<Ahead>,
-    /// Bytes that these take.
-    bytes: u64,
+    unread: VecDeque<usize>,
+    /// Chunks read but not returned yet, in order.
+    pending: VecDeque<PendingChunk>,
+    /// Memory of the pending chunks, bytes.
+    pending_bytes: u64,
     workers: Option<Workers>,
 }
 
 /// A chunk read ahead.
-struct Ahead {
+struct PendingChunk {
     chunk: usize,
     bytes: u64,
     content: Result<Receiver<Content>, BagError>,
 }
 
 impl<'bag> ReadAhead<'bag> {
-    /// `order`: the chunks to give.
+    /// `order`: the chunks to return.
     pub(super) fn new(bag: &'bag Bag, order: VecDeque<usize>) -> Self {
         let is_packed = |&chunk: &usize| bag.chunks()[chunk].compression != Compression::None;
         let worthwhile = order.iter().filter(|chunk| is_packed(chunk)).count() > 1;
@@ -48,43 +49,44 @@ impl<'bag> ReadAhead<'bag> {
     }
 
     fn with_cores(bag: &'bag Bag, order: VecDeque<usize>, cores: usize) -> Self {
-        Self { bag, to_come: order, ahead: VecDeque::new(), bytes: 0, workers: (cores > 1).then(|| Workers::new(cores)) }
+        let workers = (cores > 1).then(|| Workers::new(cores));
+        Self { bag, unread: order, pending: VecDeque::new(), pending_bytes: 0, workers }
     }
 
     /// The content of the next chunk; `None` after the last.
     pub(super) fn next(&mut self) -> Option<Result<Content, BagError>> {
         let Some(workers) = &self.workers else {
-            return Some(self.bag.read_chunk(self.to_come.pop_front()?));
+            return Some(self.bag.read_chunk(self.unread.pop_front()?));
         };
-        while let Some(&chunk) = self.to_come.front() {
-            let bytes = self.bag.chunks()[chunk].memory();
-            let has_room = self.ahead.len() < workers.limit && self.bytes + bytes <= MAX_BYTES;
-            if !has_room && !self.ahead.is_empty() {
+        while let Some(&chunk) = self.unread.front() {
+            let bytes = self.bag.chunks()[chunk].memory_bytes();
+            let has_room = self.pending.len() < workers.limit && self.pending_bytes + bytes <= MAX_BYTES;
+            if !has_room && !self.pending.is_empty() {
                 break;
             }
-            self.to_come.pop_front();
-            self.bytes += bytes;
+            self.unread.pop_front();
+            self.pending_bytes += bytes;
             let content = self.bag.read_packed(chunk).map(|packed| workers.unpack(packed));
-            self.ahead.push_back(Ahead { chunk, bytes, content });
+            self.pending.push_back(PendingChunk { chunk, bytes, content });
         }
-        let Ahead { chunk, bytes, content } = self.ahead.pop_front()?;
-        self.bytes -= bytes;
-        Some(content.and_then(|receiver| match workers.await_content(&receiver) {
-            Some(content) => Ok(self.bag.note_problem(content)),
+        let PendingChunk { chunk, bytes, content } = self.pending.pop_front()?;
+        self.pending_bytes -= bytes;
+        Some(content.and_then(|receiver| match workers.wait_for_content(&receiver) {
+            Some(content) => Ok(self.bag.record_problem(content)),
             None => self.bag.read_chunk(chunk),
         }))
     }
 }
 
-/// Threads that unpack.
+/// Threads that decompress chunks.
 struct Workers {
     queue: Arc<Queue>,
-    /// Chunks read ahead at most.
+    /// Maximum number of chunks read ahead.
     limit: usize,
 }
 
 impl Workers {
-    /// One for each core but the caller's. If no thread can be started, the caller does all the work.
+    /// Starts one thread for each core except the caller's. If no thread can be started, the caller does all the work.
     fn new(cores: usize) -> Self {
         let queue = Arc::<Queue>::default();
         for _ in 1..cores {
@@ -101,8 +103,8 @@ impl Workers {
         receiver
     }
 
-    /// Waits for the content of a chunk and decompresses others meanwhile. `None`: the thread that had it has died.
-    fn await_content(&self, receiver: &Receiver<Content>) -> Option<Content> {
+    /// Waits for the content of a chunk and decompresses others meanwhile. `None` if the thread that decompressed it has died.
+    fn wait_for_content(&self, receiver: &Receiver<Content>) -> Option<Content> {
         loop {
             match receiver.try_recv() {
                 Ok(content) => return Some(content),
@@ -122,20 +124,20 @@ impl Drop for Workers {
     }
 }
 
-/// A chunk to decompress, and where its content goes.
+/// A chunk to decompress, and the channel for its content.
 struct Job {
     packed: PackedChunk,
     sender: SyncSender<Content>,
 }
 
 impl Job {
-    /// Whether its content is still wanted.
+    /// Decompresses the chunk. Returns whether the receiver still wanted its content.
     fn finish(self) -> bool {
         self.sender.send(self.packed.unpack()).is_ok()
     }
 }
 
-/// Chunks that nobody has begun to unpack.
+/// Chunks that no thread has begun to decompress.
 #[derive(Default)]
 struct Queue {
     state: Mutex<QueueState>,
@@ -162,7 +164,7 @@ impl Queue {
         self.lock().jobs.pop_front()
     }
 
-    /// `None` once it is closed.
+    /// Waits for the next job; `None` once the queue is closed.
     fn wait_for_job(&self) -> Option<Job> {
         let mut state = self.lock();
         while state.jobs.is_empty() && !state.closed {
@@ -199,33 +201,34 @@ mod tests {
         writer.finish().unwrap();
     }
 
-    /// The bytes and the problem of each chunk in the order given, and the most that were read ahead.
+    /// The bytes of each chunk in the order given, the number of problems after each, and the maximum number of chunks read
+    /// ahead.
     fn contents(bag: &Bag, order: &[usize], cores: usize) -> (Vec<Vec<u8>>, Vec<String>, usize) {
         let mut ahead = ReadAhead::with_cores(bag, order.iter().copied().collect(), cores);
-        let (mut bytes, mut problems, mut most) = (Vec::new(), Vec::new(), 0);
+        let (mut bytes, mut problems, mut max_pending) = (Vec::new(), Vec::new(), 0);
         while let Some(content) = ahead.next() {
             bytes.push(content.unwrap().bytes);
             problems.push(bag.problems().len().to_string());
-            most = most.max(ahead.ahead.len());
+            max_pending = max_pending.max(ahead.pending.len());
         }
-        (bytes, problems, most)
+        (bytes, problems, max_pending)
     }
 
     #[test]
-    fn chunks_come_in_their_order_with_their_problems_on_any_number_of_cores() {
+    fn chunks_are_returned_in_order_with_their_problems_on_any_number_of_cores() {
         let folder = tempfile::tempdir().unwrap();
         for compression in [Compression::Lz4, Compression::Bz2] {
             let path = folder.path().join("a.bag");
             write(&path, compression);
-            let places: Vec<u64> = Bag::open(&path).unwrap().chunks().iter().map(|chunk| chunk.data_offset + 1000).collect();
-            assert!(places.len() > 15);
+            let offsets: Vec<u64> = Bag::open(&path).unwrap().chunks().iter().map(|chunk| chunk.data_offset + 1000).collect();
+            assert!(offsets.len() > 15);
             let mut damaged = fs::read(&path).unwrap();
             for chunk in [4, 9] {
-                let at = usize::try_from(places[chunk]).unwrap();
+                let at = usize::try_from(offsets[chunk]).unwrap();
                 damaged[at..at + 10].fill(0x55);
             }
             fs::write(&path, damaged).unwrap();
-            let order: Vec<usize> = (0..places.len()).rev().collect();
+            let order: Vec<usize> = (0..offsets.len()).rev().collect();
             let expected = contents(&Bag::open(&path).unwrap(), &order, 1);
             assert!(expected.0.iter().filter(|bytes| bytes.is_empty()).count() == 2, "two chunks are damaged");
             for cores in [2, 4] {
@@ -237,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_ahead_and_not_wanted_is_not_said_to_be_lost() {
+    fn a_damaged_chunk_is_reported_only_when_it_is_returned() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.bag");
         write(&path, Compression::Lz4);

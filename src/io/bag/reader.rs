@@ -1,4 +1,4 @@
-//! An open bag: what is in it, and where.
+//! An open bag: its chunks, connections and problems.
 
 use std::cell::{Ref, RefCell};
 use std::collections::BTreeMap;
@@ -17,8 +17,8 @@ use super::error::{BagError, BagProblem, COPY_AGAIN};
 use super::layout::{Layout, MAX_PROBLEMS};
 use super::record::MAGIC;
 
-/// Bytes read to identify the format of a file.
-const LONGEST_MAGIC: u64 = 32;
+/// Number of bytes read to identify the format of a file.
+const MAX_MAGIC_BYTES: u64 = 32;
 
 /// A bag opened for reading.
 ///
@@ -52,7 +52,7 @@ impl Bag {
         let mut file = File::open(path).map_err(BagError::io(path, "open"))?;
         let metadata = file.metadata().map_err(BagError::io(path, "read"))?;
         if metadata.is_dir() {
-            return Err(directory(path));
+            return Err(directory_error(path));
         }
         check_magic(path, &mut file)?;
         let layout = Layout::read(&file, MAGIC.len() as u64, metadata.len()).map_err(BagError::io(path, "read"))?;
@@ -60,7 +60,7 @@ impl Bag {
             return Err(BagError::Unsupported {
                 path: path.into(),
                 what: format!("an encrypted bag ({})", layout.encryptor),
-                remedy: "`rosbag decrypt` makes a plain copy where the key is",
+                remedy: "make a decrypted copy with `rosbag decrypt` on a machine that has the key",
             });
         }
         let complete = layout.complete;
@@ -76,13 +76,14 @@ impl Bag {
         Ok(bag)
     }
 
-    /// Completes the index: reads each chunk that has none, or whose connections no record outside of the chunks describes.
+    /// Completes the index: reads each chunk that has no index, or whose connections are not described by a record outside the
+    /// chunks.
     fn index(&mut self, mut known: BTreeMap<u32, Connection>, complete: bool) -> Result<BTreeMap<u32, Connection>, BagError> {
         let last = self.chunks.len().saturating_sub(1);
         for i in 0..self.chunks.len() {
-            let Chunk { index, badly_indexed, .. } = &self.chunks[i];
-            let described = !badly_indexed && index.span.is_some() && index.counts.keys().all(|id| known.contains_key(id));
-            // The file may end among the index records of its last chunk.
+            let Chunk { index, has_bad_index, .. } = &self.chunks[i];
+            let described = !has_bad_index && index.span.is_some() && index.counts.keys().all(|id| known.contains_key(id));
+            // The file may end within the index records of its last chunk.
             if described && (complete || i < last) {
                 continue;
             }
@@ -97,7 +98,7 @@ impl Bag {
                 Some(connection) => connection.messages += count,
                 None => self.add_problem(BagProblem {
                     offset: 0,
-                    what: format!("messages of connection {id} are lost: no record says what they are"),
+                    what: format!("messages of connection {id} are lost: the record that gives their topic and type is missing"),
                     bytes_lost: 0,
                     remedy: COPY_AGAIN,
                 }),
@@ -107,15 +108,15 @@ impl Bag {
     }
 
     pub(super) fn read_chunk(&self, i: usize) -> Result<Content, BagError> {
-        Ok(self.note_problem(self.read_packed(i)?.unpack()))
+        Ok(self.record_problem(self.read_packed(i)?.unpack()))
     }
 
     pub(super) fn read_packed(&self, i: usize) -> Result<PackedChunk, BagError> {
         self.chunks[i].read(&mut self.file.borrow_mut()).map_err(BagError::io(&self.path, "read"))
     }
 
-    /// Records what could not be read of a chunk.
-    pub(super) fn note_problem(&self, mut content: Content) -> Content {
+    /// Moves the problem of a chunk, if it has one, to the problems of the bag.
+    pub(super) fn record_problem(&self, mut content: Content) -> Content {
         if let Some(problem) = content.problem.take() {
             self.add_problem(problem);
         }
@@ -133,7 +134,7 @@ impl Bag {
         &self.chunks
     }
 
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -143,12 +144,13 @@ impl Bag {
         self.len
     }
 
-    /// Who published what, by number.
+    /// The connections, sorted by number.
     pub fn connections(&self) -> &[Connection] {
         &self.connections
     }
 
-    /// The problems found so far: those of the bag's structure when it is opened, those inside chunks as messages are read.
+    /// The problems found so far. Problems of the bag's structure are found when it is opened, problems inside chunks as messages
+    /// are read.
     pub fn problems(&self) -> Ref<'_, [BagProblem]> {
         Ref::map(self.problems.borrow(), Vec::as_slice)
     }
@@ -159,17 +161,17 @@ impl Bag {
         Compression::ALL.iter().map(|&kind| (kind, count(kind))).filter(|(_, chunks)| *chunks > 0).collect()
     }
 
-    /// When the first and the last message were recorded; `None` without messages.
+    /// Recording times of the first and the last message; `None` without messages.
     pub fn span(&self) -> Option<(Stamp, Stamp)> {
         self.chunks.iter().filter_map(|chunk| chunk.index.span).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
-    /// Number of messages on `topics` (`None`: on all).
+    /// Number of messages on `topics` (`None`: on all topics).
     pub fn message_count(&self, topics: Option<&[&str]>) -> u64 {
         self.connections_of(topics).map(|connection| connection.messages).sum()
     }
 
-    /// The connections of `topics` (`None`: of all).
+    /// The connections of `topics` (`None`: of all topics).
     pub(super) fn connections_of(&self, topics: Option<&[&str]>) -> impl Iterator<Item = &Connection> {
         self.connections.iter().filter(move |connection| is_wanted(topics, &connection.topic))
     }
@@ -182,7 +184,7 @@ impl Bag {
         topics
     }
 
-    /// Checks that `topic` is there and carries messages of type `T`; the error says what there is instead.
+    /// Checks that the bag has `topic` and that it carries messages of type `T`; the error lists the alternatives.
     pub fn expect_topic<T: Message>(&self, topic: &str) -> Result<(), BagError> {
         let mut connections = self.connections.iter().filter(|connection| connection.topic == topic).peekable();
         if connections.peek().is_none() {
@@ -211,7 +213,7 @@ impl Bag {
         let alternatives = if candidates.is_empty() {
             format!("no topic carries {}", T::TYPE)
         } else {
-            format!("{} is on: {}", T::TYPE, candidates.join(", "))
+            format!("topics with {}: {}", T::TYPE, candidates.join(", "))
         };
         let damage = self.problems.borrow().first().map_or_else(String::new, |first| format!("; the bag is damaged: {first}"));
         BagError::NoSuchTopic { path: self.path.clone(), topic: topic.into(), alternatives: alternatives + &damage }
@@ -222,10 +224,10 @@ fn is_wanted(topics: Option<&[&str]>, topic: &str) -> bool {
     topics.is_none_or(|topics| topics.contains(&topic))
 }
 
-/// Checks how the file begins, and leaves it at the first record.
+/// Checks the first line of the file, and leaves the file position at the first record.
 fn check_magic(path: &Path, file: &mut File) -> Result<(), BagError> {
     let mut start = Vec::new();
-    file.take(LONGEST_MAGIC).read_to_end(&mut start).map_err(BagError::io(path, "read"))?;
+    file.take(MAX_MAGIC_BYTES).read_to_end(&mut start).map_err(BagError::io(path, "read"))?;
     if start.starts_with(MAGIC) {
         return file.seek(SeekFrom::Start(MAGIC.len() as u64)).map(|_| ()).map_err(BagError::io(path, "read"));
     }
@@ -233,30 +235,30 @@ fn check_magic(path: &Path, file: &mut File) -> Result<(), BagError> {
     if let Some(version) = start.strip_prefix(b"#ROSBAG V").or(start.strip_prefix(b"#ROSRECORD V")) {
         let version = version.split(|byte| *byte == b'\n').next().unwrap_or_default();
         let what = format!("a bag of version {}", String::from_utf8_lossy(version).trim_end());
-        return Err(BagError::Unsupported { path, what, remedy: "`rosbag fix OLD.bag NEW.bag` makes a version 2.0 of it" });
+        return Err(BagError::Unsupported { path, what, remedy: "convert it to version 2.0 with `rosbag fix OLD.bag NEW.bag`" });
     }
     let reason = match start.as_slice() {
         [] => "it is empty",
         start if MAGIC.starts_with(start) => "it ends within its first line",
-        start if start.starts_with(b"SQLite format 3") => return Err(of_ros2(path, "SQLite (.db3)")),
-        start if start.starts_with(b"\x89MCAP") => return Err(of_ros2(path, "MCAP (.mcap)")),
-        _ if path.ends_with("metadata.yaml") => return Err(of_ros2(path, "of which this is the table of contents")),
+        start if start.starts_with(b"SQLite format 3") => return Err(ros2_bag(path, "SQLite (.db3)")),
+        start if start.starts_with(b"\x89MCAP") => return Err(ros2_bag(path, "MCAP (.mcap)")),
+        _ if path.ends_with("metadata.yaml") => return Err(ros2_bag(path, "and this file is only its table of contents")),
         _ => "it does not begin with `#ROSBAG V2.0`",
     };
     Err(BagError::NotABag { path, reason: reason.into() })
 }
 
-fn of_ros2(path: PathBuf, form: &str) -> BagError {
-    let remedy = "`rosbags-convert` (pip install rosbags) makes a ROS 1 bag of it";
-    BagError::Unsupported { path, what: format!("a ROS 2 bag, {form}"), remedy }
+fn ros2_bag(path: PathBuf, format: &str) -> BagError {
+    let remedy = "convert it to a ROS 1 bag with `rosbags-convert` (pip install rosbags)";
+    BagError::Unsupported { path, what: format!("a ROS 2 bag, {format}"), remedy }
 }
 
-fn directory(path: &Path) -> BagError {
-    let is_of_ros2 =
+fn directory_error(path: &Path) -> BagError {
+    let is_ros2_file =
         |path: PathBuf| path.ends_with("metadata.yaml") || path.extension().is_some_and(|e| e == "db3" || e == "mcap");
     let mut entries = path.read_dir().into_iter().flatten().flatten();
-    if entries.any(|entry| is_of_ros2(entry.path())) {
-        return of_ros2(path.into(), "a folder of metadata.yaml and .db3 or .mcap files");
+    if entries.any(|entry| is_ros2_file(entry.path())) {
+        return ros2_bag(path.into(), "a folder of metadata.yaml and .db3 or .mcap files");
     }
     BagError::NotABag { path: path.into(), reason: "it is a directory".into() }
 }

@@ -1,14 +1,14 @@
-//! Records: the building block of a bag, of chunks and outside of them. A record is a header of named fields and data, each after its
-//! length; all numbers are little-endian.
+//! Records: the building blocks of a bag, inside and outside its chunks. A record is a header of named fields followed by data,
+//! each preceded by its length. All numbers are little-endian.
 
 use std::borrow::Cow;
 
 use crate::time::Stamp;
 
-/// The first line of every bag of this format.
+/// First line of every bag of this format.
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 
-/// The kinds of records, as the header field `op` has them.
+/// Record types: values of the header field `op`.
 pub(super) mod op {
     pub(in super::super) const MESSAGE: u8 = 0x02;
     pub(in super::super) const BAG_HEADER: u8 = 0x03;
@@ -18,7 +18,8 @@ pub(super) mod op {
     pub(in super::super) const CONNECTION: u8 = 0x07;
 }
 
-/// A block after its 32-bit length, and what follows it. `None`: the bytes end before it does.
+/// Splits off a block that is preceded by its 32-bit length; returns the block and the remaining bytes. `None` if the bytes end
+/// before the block does.
 pub(super) fn split_block(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (len, rest) = bytes.split_first_chunk::<4>()?;
     rest.split_at_checked(usize::try_from(u32::from_le_bytes(*len)).ok()?)
@@ -62,13 +63,13 @@ impl<'a> Fields<'a> {
         self.array(name).map(stamp_from_bytes)
     }
 
-    /// Texts are not always UTF-8: comments in old message definitions.
+    /// A field as text. Invalid UTF-8 is replaced: comments in old message definitions contain other encodings.
     pub(super) fn text(self, name: &str) -> Result<Cow<'a, str>, String> {
         self.bytes(name).map(String::from_utf8_lossy)
     }
 }
 
-/// Appends the header of a record: its length and its fields.
+/// Appends the header of a record: its length, then its fields.
 pub(super) fn push_header(out: &mut Vec<u8>, fields: &[(&str, &[u8])]) {
     let field_len = |(name, value): &(&str, &[u8])| name.len() + 1 + value.len();
     push_len(out, fields.iter().map(|field| 4 + field_len(field)).sum());
@@ -80,7 +81,7 @@ pub(super) fn push_header(out: &mut Vec<u8>, fields: &[(&str, &[u8])]) {
     }
 }
 
-/// Appends a whole record.
+/// Appends a complete record.
 pub(super) fn push_record(out: &mut Vec<u8>, fields: &[(&str, &[u8])], data: &[u8]) {
     push_header(out, fields);
     push_len(out, data.len());
@@ -88,7 +89,7 @@ pub(super) fn push_record(out: &mut Vec<u8>, fields: &[(&str, &[u8])], data: &[u
 }
 
 fn push_len(out: &mut Vec<u8>, len: usize) {
-    // The writer keeps messages below this limit, and with them chunks.
+    // The writer keeps messages, and therefore chunks, below this limit.
     out.extend_from_slice(&u32::try_from(len).unwrap_or(u32::MAX).to_le_bytes());
 }
 

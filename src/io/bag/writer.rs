@@ -1,4 +1,5 @@
-//! Bags written: chunks with their indices, then connections and chunk infos, then the bag header once more with the place of these.
+//! Writes bags: chunks with their indices, then connections and chunk infos, and finally the bag header again with the offset of
+//! these.
 
 use std::collections::BTreeMap;
 use std::io::{Seek, SeekFrom, Write};
@@ -12,22 +13,22 @@ use super::compression::Compression;
 use super::error::BagError;
 use super::record::{MAGIC, op, push_header, push_record, stamp_to_bytes};
 
-/// A chunk is closed when it is larger than this: what `rosbag record` does.
+/// A chunk is closed once it is larger than this, bytes: the default of `rosbag record`.
 const CHUNK_BYTES: usize = 768 << 10;
-/// Largest message taken, so that every chunk stays readable.
+/// Maximum size of a message, bytes, so that every chunk stays readable.
 const MAX_MESSAGE_BYTES: usize = 256 << 20;
-/// The fields and the padding of the bag header take this much together, so that it can be rewritten in place.
+/// Total size of the fields and the padding of the bag header, bytes: fixed, so that the header can be rewritten in place.
 const BAG_HEADER_BYTES: usize = 4096;
 
-/// A bag being written. The same messages give the same bytes.
+/// A bag being written. The same messages always give the same bytes.
 ///
-/// Without [`BagWriter::finish`] the bag of [`BagWriter::create`] has no index, but all messages: readers say so and `rosbag reindex`
-/// repairs it. One of [`BagWriter::create_whole`] is not there at all.
+/// Without [`BagWriter::finish`], a bag created by [`BagWriter::create`] contains all messages but no index: readers report that,
+/// and `rosbag reindex` repairs it. A bag created by [`BagWriter::create_whole`] does not exist until it is finished.
 pub struct BagWriter {
     path: PathBuf,
     file: OutputFile,
     compression: Compression,
-    /// Bytes written to the file.
+    /// Number of bytes written to the file.
     position: u64,
     connections: Vec<Connection>,
     chunk: OpenChunk,
@@ -40,7 +41,7 @@ struct Connection {
     topic: String,
     message_type: &'static str,
     latching: bool,
-    /// The whole record.
+    /// The complete connection record.
     record: Vec<u8>,
 }
 
@@ -48,11 +49,11 @@ struct Connection {
 #[derive(Default)]
 struct OpenChunk {
     bytes: Vec<u8>,
-    /// Time and place in the chunk of each message, by connection.
+    /// Time and offset in the chunk of each message, by connection.
     index: BTreeMap<u32, Vec<(Stamp, u32)>>,
 }
 
-/// What the index at the end says of a chunk.
+/// Entry of the index at the end of the bag: one for each chunk.
 struct ChunkInfo {
     offset: u64,
     span: (Stamp, Stamp),
@@ -61,13 +62,13 @@ struct ChunkInfo {
 }
 
 impl BagWriter {
-    /// Creates the file, or empties it: as a recorder does, whose bag is of use as far as it goes.
+    /// Creates or truncates the file. Like a recorder, it leaves a usable bag even if it is never finished.
     pub fn create(path: impl AsRef<Path>, compression: Compression) -> Result<Self, BagError> {
         let path = path.as_ref();
-        Self::begin(path, OutputFile::in_place(path).map_err(BagError::io(path, "create"))?, compression)
+        Self::begin(path, OutputFile::create_in_place(path).map_err(BagError::io(path, "create"))?, compression)
     }
 
-    /// Begins a bag that will be in its place once it is finished; an older file stays until then.
+    /// Begins a bag that appears at `path` only when it is finished; an existing file is kept until then.
     pub fn create_whole(path: impl AsRef<Path>, compression: Compression) -> Result<Self, BagError> {
         let path = path.as_ref();
         Self::begin(path, OutputFile::create(path).map_err(BagError::io(path, "create"))?, compression)
@@ -95,12 +96,12 @@ impl BagWriter {
         self.push(topic, false, time, message)
     }
 
-    /// Writes a message of a latched topic (`/tf_static`, `/map`): players give it to late subscribers too.
+    /// Writes a message on a latched topic (`/tf_static`, `/map`): on playback, late subscribers get it, too.
     pub fn write_latched<T: Message>(&mut self, topic: &str, time: Stamp, message: &T) -> Result<(), BagError> {
         self.push(topic, true, time, message)
     }
 
-    /// Writes what is left and the index.
+    /// Writes the last chunk and the index, and moves the file to its path.
     pub fn finish(mut self) -> Result<(), BagError> {
         self.finished = true;
         self.close_chunk()?;
@@ -121,9 +122,11 @@ impl BagWriter {
         if data.len() > MAX_MESSAGE_BYTES {
             return Err(self.unwritable(topic, format!("a message of {} bytes is too large", data.len())));
         }
-        // Readers of ROS take time 0 for "no time" and pass such messages over.
+        // The ROS readers treat time 0 as "no time" and skip such messages.
         if time <= Stamp::default() || Stamp::from(messages::Time::from(time)) != time {
-            return Err(self.unwritable(topic, format!("the time {time} is outside of what a bag can hold (1970 to 2106)")));
+            return Err(
+                self.unwritable(topic, format!("the time {time} is outside the range that a bag supports (1970 to 2106)"))
+            );
         }
         let id = self.connection::<T>(topic, latching)?;
         let at = u32::try_from(self.chunk.bytes.len()).unwrap_or(u32::MAX);
@@ -136,10 +139,10 @@ impl BagWriter {
         Ok(())
     }
 
-    /// The number of the connection; a new one is recorded in the chunk.
+    /// The number of the connection; the record of a new connection is added to the chunk.
     fn connection<T: Message>(&mut self, topic: &str, latching: bool) -> Result<u32, BagError> {
         if let Some(other) = self.connections.iter().find(|c| c.topic == topic && c.message_type != T::TYPE) {
-            return Err(self.unwritable(topic, format!("it carries {}, not {}", other.message_type, T::TYPE)));
+            return Err(self.unwritable(topic, format!("the topic already carries {}, not {}", other.message_type, T::TYPE)));
         }
         let known = self.connections.iter().position(|c| c.topic == topic && c.latching == latching);
         let id = u32::try_from(known.unwrap_or(self.connections.len())).unwrap_or(u32::MAX);
@@ -154,7 +157,7 @@ impl BagWriter {
     fn close_chunk(&mut self) -> Result<(), BagError> {
         let chunk = std::mem::take(&mut self.chunk);
         let Some(info) = ChunkInfo::new(self.position, &chunk.index) else { return Ok(()) };
-        let packed = self.compression.pack(&chunk.bytes).map_err(BagError::io(&self.path, "pack a chunk of"))?;
+        let packed = self.compression.pack(&chunk.bytes).map_err(BagError::io(&self.path, "compress a chunk of"))?;
         let size = u32::try_from(chunk.bytes.len()).unwrap_or(u32::MAX).to_le_bytes();
         let mut records = Vec::new();
         let fields: &[(&str, &[u8])] =
@@ -225,7 +228,7 @@ impl Connection {
         }
         let mut record = Vec::new();
         push_header(&mut record, &[("op", &[op::CONNECTION]), ("conn", &id.to_le_bytes()), ("topic", topic.as_bytes())]);
-        // The data of this record is itself a header, whose length is that of the data.
+        // The data of this record is itself a header; the length of the header serves as the length of the data.
         push_header(&mut record, &fields);
         Self { topic: topic.into(), message_type: T::TYPE, latching, record }
     }

@@ -1,38 +1,40 @@
 //! Repairs stamps that are out of order.
 //!
-//! Lines are written in the order in which things happened, but stamped by a clock that was set back, or read late. The stamps in
-//! order that are nearest to those of the log, by least squares, come from pooling adjacent violators (Ayer et al., 1955).
+//! The lines of a log are in the right order, but their clock may have been set back or read late. The repaired stamps are the
+//! ordered ones that are closest to those of the log by least squares, computed by the pool adjacent violators algorithm (Ayer et
+//! al., 1955).
 
 use crate::time::Stamp;
 
-/// Repaired stamps are at least this far apart, s, or half the mean spacing if that is less.
-const SPACING: f64 = 0.02;
+/// Minimum interval between repaired stamps, s, or half the mean interval if that is less.
+const MIN_INTERVAL: f64 = 0.02;
 
-/// Stamps that count as one block: their mean, after every stamp was shifted so that spacing counts as none.
+/// A block of pooled stamps. The i-th stamp of the log is first shifted back by i times the minimum interval.
 struct Block {
-    /// s, after the first stamp.
+    /// Mean of the shifted stamps, s after the first stamp of the log.
     mean: f64,
+    /// Number of stamps.
     count: usize,
 }
 
-/// What was done to the stamps of a log.
+/// How the stamps of a log were repaired.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Mended {
-    /// How many were changed.
+pub struct StampRepair {
+    /// Number of changed stamps.
     pub count: usize,
-    /// The largest change, s.
-    pub most: f64,
+    /// Largest change, s.
+    pub max_change: f64,
 }
 
-/// Puts the stamps of `items` in order, if they are not.
-pub(super) fn mend<T>(items: &mut [T], stamp_of: impl Fn(&mut T) -> &mut Stamp) -> Mended {
+/// Makes the stamps of `items` strictly increasing, if they are not.
+pub(super) fn repair_stamps<T>(items: &mut [T], stamp_of: impl Fn(&mut T) -> &mut Stamp) -> StampRepair {
     let stamps: Vec<Stamp> = items.iter_mut().map(|item| *stamp_of(item)).collect();
-    let (Some(first), Some(last)) = (stamps.first(), stamps.last()) else { return Mended::default() };
+    let (Some(first), Some(last)) = (stamps.first(), stamps.last()) else { return StampRepair::default() };
     if stamps.is_sorted_by(|earlier, later| earlier < later) {
-        return Mended::default();
+        return StampRepair::default();
     }
-    let spacing = SPACING.min(0.5 * last.seconds_since(*first).max(0.0) / stamps.len() as f64);
-    let shift = |index: usize| index as f64 * spacing;
+    let interval = MIN_INTERVAL.min(0.5 * last.seconds_since(*first).max(0.0) / stamps.len() as f64);
+    let shift = |index: usize| index as f64 * interval;
     let mut blocks: Vec<Block> = Vec::new();
     for (index, stamp) in stamps.iter().enumerate() {
         let mut block = Block { mean: stamp.seconds_since(*first) - shift(index), count: 1 };
@@ -43,18 +45,19 @@ pub(super) fn mend<T>(items: &mut [T], stamp_of: impl Fn(&mut T) -> &mut Stamp) 
         }
         blocks.push(block);
     }
-    let mut mended = Mended::default();
+    let mut repair = StampRepair::default();
     let means = blocks.iter().flat_map(|block| std::iter::repeat_n(block, block.count));
     for (index, (item, block)) in items.iter_mut().zip(means).enumerate() {
-        // Stamps on their own stay as they were, to the nanosecond.
+        // A stamp that was not pooled with others stays exactly as it was.
         if block.count > 1 {
             let stamp = stamp_of(item);
             let in_order = first.offset_by(block.mean + shift(index));
-            mended = Mended { count: mended.count + 1, most: mended.most.max(in_order.seconds_since(*stamp).abs()) };
+            repair =
+                StampRepair { count: repair.count + 1, max_change: repair.max_change.max(in_order.seconds_since(*stamp).abs()) };
             *stamp = in_order;
         }
     }
-    mended
+    repair
 }
 
 #[cfg(test)]
@@ -62,30 +65,30 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn mended(seconds: &[f64]) -> Vec<f64> {
+    fn repaired(seconds: &[f64]) -> Vec<f64> {
         let mut stamps: Vec<Stamp> = seconds.iter().map(|s| Stamp::from_seconds(1000.0 + s)).collect();
-        mend(&mut stamps, |stamp| stamp);
+        repair_stamps(&mut stamps, |stamp| stamp);
         stamps.iter().map(|stamp| stamp.seconds_since(Stamp::from_seconds(1000.0))).collect()
     }
 
     #[test]
-    fn what_is_in_order_stays_and_what_is_not_meets_in_the_middle() {
+    fn ordered_stamps_are_unchanged_and_swapped_ones_are_averaged() {
         let fast = [0.0, 0.001, 0.002, 5.0];
-        assert_eq!(mended(&fast), fast);
+        assert_eq!(repaired(&fast), fast);
         let expected = [0.0, 1.0, 1.99, 2.01, 4.0];
-        assert!(mended(&[0.0, 1.0, 2.1, 1.9, 4.0]).iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-8));
+        assert!(repaired(&[0.0, 1.0, 2.1, 1.9, 4.0]).iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-8));
     }
 
     proptest! {
         #[test]
-        fn the_order_is_strict_whatever_the_stamps(seconds in prop::collection::vec(-10.0..10.0, 2..50), end in 20.0..40.0) {
+        fn repaired_stamps_always_increase_strictly(seconds in prop::collection::vec(-10.0..10.0, 2..50), end in 20.0..40.0) {
             let mut seconds = seconds;
             seconds.push(end);
-            let mended = mended(&seconds);
-            prop_assert!(mended.is_sorted_by(|a, b| a < b), "{mended:?}");
+            let repaired = repaired(&seconds);
+            prop_assert!(repaired.is_sorted_by(|a, b| a < b), "{repaired:?}");
             // Least squares keeps the mean.
             let sum = |values: &[f64]| values.iter().sum::<f64>();
-            prop_assert!((sum(&mended) - sum(&seconds)).abs() < 1e-5);
+            prop_assert!((sum(&repaired) - sum(&seconds)).abs() < 1e-5);
         }
     }
 }

@@ -8,15 +8,15 @@ use crate::io::text;
 use crate::scan::MAX_BEAMS;
 use crate::time::Stamp;
 
-/// Longest word taken for the name of a message.
-const LONGEST_NAME: usize = 40;
-/// A clock that counts from the start of the log begins at 0, which a bag cannot hold.
-const FIRST_TIME: Stamp = Stamp::from_nanoseconds(1);
+/// Maximum length of a message name, bytes.
+const MAX_NAME_BYTES: usize = 40;
+/// Minimum stamp. A clock that counts from the start of the log begins at 0, which a bag does not support.
+const MIN_STAMP: Stamp = Stamp::from_nanoseconds(1);
 
-/// What a line says.
+/// The content of a line.
 pub(super) enum Line {
-    /// Blank, or a comment.
-    Nothing,
+    /// A blank line or a comment.
+    Blank,
     /// `FLASER`.
     FrontLaser(CarmenScan),
     /// `ROBOTLASER1`.
@@ -27,18 +27,18 @@ pub(super) enum Line {
     Odometry(CarmenOdometry),
     /// `PARAM robot_frontlaser_offset`, m.
     FrontLaserOffset(f64),
-    /// Another message; its name.
+    /// Any other message: its name.
     Other(String),
 }
 
-/// The columns of a line, taken from the left.
+/// The columns of a line, read from left to right.
 struct Columns<'a> {
     words: std::str::SplitWhitespace<'a>,
 }
 
 impl<'a> Columns<'a> {
     fn word(&mut self, name: &str) -> Result<&'a str, String> {
-        self.words.next().ok_or_else(|| format!("the line ends before {name} (cut off? remove it, or complete it)"))
+        self.words.next().ok_or_else(|| format!("the line ends before {name} (truncated? complete or remove it)"))
     }
 
     fn numbers<const N: usize>(&mut self, names: [&str; N]) -> Result<[f64; N], String> {
@@ -59,17 +59,18 @@ impl<'a> Columns<'a> {
         count.ok_or_else(|| format!("{name} is `{word}`: expected a whole number up to {MAX_BEAMS}"))
     }
 
-    /// Readings need not be finite: that is a way to say "nothing seen".
+    /// Readings need not be finite: some logs use infinity for "no return".
     fn ranges(&mut self, count: usize) -> Result<Vec<f32>, String> {
         (0..count)
             .map(|_| {
                 let word = self.word("the last of its ranges")?;
-                word.parse().map_err(|_| format!("a range is `{word}`: expected a number (remove the line, or repair it)"))
+                word.parse().map_err(|_| format!("a range is `{word}`: expected a number (fix or remove the line)"))
             })
             .collect()
     }
 
-    /// `ipc_timestamp ipc_hostname logger_timestamp`, the last two of which some logs lack. Where the first is 0 the last counts.
+    /// `ipc_timestamp ipc_hostname logger_timestamp`; some logs lack the last two. If `ipc_timestamp` is 0, `logger_timestamp` is
+    /// used.
     fn stamp(&mut self) -> Result<Stamp, String> {
         let sent = text::stamp(self.word("ipc_timestamp")?)?;
         let logged = self.words.nth(1).map(text::stamp).transpose();
@@ -77,16 +78,16 @@ impl<'a> Columns<'a> {
         if stamp < Stamp::default() || stamp > Stamp::from_ros(u32::MAX, 0) {
             return Err(format!("the stamp is {stamp}: expected seconds since 1970, or since the start of the log"));
         }
-        Ok(stamp.max(FIRST_TIME))
+        Ok(stamp.max(MIN_STAMP))
     }
 }
 
-/// Reads a line; the error says what is wrong with it.
+/// Parses a line; the error says what is wrong with it.
 pub(super) fn parse(line: &str, field_of_view: Option<f64>) -> Result<Line, String> {
     let mut columns = Columns { words: line.split_whitespace() };
     match columns.words.next() {
-        None => Ok(Line::Nothing),
-        Some(word) if word.starts_with('#') => Ok(Line::Nothing),
+        None => Ok(Line::Blank),
+        Some(word) if word.starts_with('#') => Ok(Line::Blank),
         Some("FLASER") => front_laser(&mut columns, field_of_view).map(Line::FrontLaser),
         Some("ROBOTLASER1") => robot_laser(&mut columns).map(Line::RobotLaser),
         Some("RAWLASER1") => raw_laser(&mut columns).map(Line::RawLaser),
@@ -94,17 +95,18 @@ pub(super) fn parse(line: &str, field_of_view: Option<f64>) -> Result<Line, Stri
         Some("PARAM") => parameter(&mut columns),
         Some(word) if is_name(word) => Ok(Line::Other(word.into())),
         Some(word) => {
-            let shown: String = word.chars().take(LONGEST_NAME).collect();
+            let shown: String = word.chars().take(MAX_NAME_BYTES).collect();
             Err(format!(
-                "`{shown}` begins no line of a CARMEN log: expected FLASER, ROBOTLASER1, RAWLASER1, ODOM, or another name in capitals"
+                "the line begins with `{shown}`: \
+                 expected FLASER, ROBOTLASER1, RAWLASER1, ODOM or another CARMEN message in capitals"
             ))
         }
     }
 }
 
 fn is_name(word: &str) -> bool {
-    let of_a_name = |byte: u8| byte.is_ascii_uppercase() || byte.is_ascii_digit() || b"-_".contains(&byte);
-    word.len() <= LONGEST_NAME && word.starts_with(|first: char| first.is_ascii_uppercase()) && word.bytes().all(of_a_name)
+    let is_allowed = |byte: u8| byte.is_ascii_uppercase() || byte.is_ascii_digit() || b"-_".contains(&byte);
+    word.len() <= MAX_NAME_BYTES && word.starts_with(|first: char| first.is_ascii_uppercase()) && word.bytes().all(is_allowed)
 }
 
 /// `FLASER n [ranges] x y theta odom_x odom_y odom_theta ipc_timestamp ...`
@@ -117,25 +119,25 @@ fn front_laser(columns: &mut Columns, field_of_view: Option<f64>) -> Result<Carm
     let steps = beams.saturating_sub(1).max(1) as f64;
     let (angle_min, angle_increment) = match field_of_view {
         Some(view) => (-0.5 * view, view / steps),
-        // 181 beams go from -90 to 90 degrees; of 180 the last is missing.
+        // 181 beams cover -90 to 90 degrees. 180 beams do so without the last one.
         None => (-FRAC_PI_2, PI / if beams % 2 == 1 { steps } else { steps + 1.0 }),
     };
-    let posed = true;
-    Ok(CarmenScan { odometry, odom_from_laser, posed, angle_min, angle_increment, nothing_seen: None, ranges })
+    let has_poses = true;
+    Ok(CarmenScan { odometry, odom_from_laser, has_poses, angle_min, angle_increment, no_return_range: None, ranges })
 }
 
-/// What `ROBOTLASER1` and `RAWLASER1` lines begin with: `laser_type start_angle field_of_view angular_resolution maximum_range accuracy
-/// remission_mode n [ranges] m [remissions]`.
+/// The first columns of `ROBOTLASER1` and `RAWLASER1` lines: `laser_type start_angle field_of_view angular_resolution
+/// maximum_range accuracy remission_mode n [ranges] m [remissions]`.
 struct Sweep {
     angle_min: f64,
     angle_increment: f64,
-    nothing_seen: Option<f64>,
+    no_return_range: Option<f64>,
     ranges: Vec<f32>,
 }
 
 impl Sweep {
     fn read(columns: &mut Columns) -> Result<Self, String> {
-        let [_, angle_min, _, angle_increment, nothing_seen, _, _] = columns.numbers([
+        let [_, angle_min, _, angle_increment, no_return_range, _, _] = columns.numbers([
             "laser_type",
             "start_angle",
             "field_of_view",
@@ -148,12 +150,12 @@ impl Sweep {
         let ranges = columns.ranges(beams)?;
         let remissions = columns.count("num_remissions")?;
         columns.ranges(remissions)?;
-        Ok(Self { angle_min, angle_increment, nothing_seen: Some(nothing_seen).filter(|range| *range > 0.0), ranges })
+        Ok(Self { angle_min, angle_increment, no_return_range: Some(no_return_range).filter(|range| *range > 0.0), ranges })
     }
 
-    fn scan(self, odometry: CarmenOdometry, odom_from_laser: Pose2, posed: bool) -> CarmenScan {
-        let Self { angle_min, angle_increment, nothing_seen, ranges } = self;
-        CarmenScan { odometry, odom_from_laser, posed, angle_min, angle_increment, nothing_seen, ranges }
+    fn scan(self, odometry: CarmenOdometry, odom_from_laser: Pose2, has_poses: bool) -> CarmenScan {
+        let Self { angle_min, angle_increment, no_return_range, ranges } = self;
+        CarmenScan { odometry, odom_from_laser, has_poses, angle_min, angle_increment, no_return_range, ranges }
     }
 }
 

@@ -1,39 +1,40 @@
-//! The covariance of a match from the noise of both scans' ranges (Censi 2007: the implicit function theorem on the minimum).
+//! Covariance of a match from the range noise of both scans (Censi 2007: the implicit function theorem at the minimum).
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::reference::Reference;
-use super::rejection::Pair;
+use super::rejection::Correspondence;
 use crate::geometry::{Point, Pose2, PoseCovariance, perpendicular};
 use crate::matching::solver::Metric;
 use crate::matching::uncertainty::{Uncertainty, condition_number};
 
-/// Derivatives of the gradient by the ranges of the reference rays; kept between calls for its memory.
+/// Estimates covariances; keeps its buffer between calls.
 #[derive(Debug, Default)]
-pub(super) struct UncertaintyEstimator {
+pub(super) struct CovarianceEstimator {
+    /// Derivatives of the half gradient by the ranges of the reference rays.
     by_reference_range: Vec<Vector3<f64>>,
 }
 
-/// What the uncertainty is computed from.
+/// The solution of a match, from which the covariance is computed.
 pub(super) struct Solution<'a> {
     pub(super) reference: &'a Reference,
     /// Points of the sensed scan, in its own frame.
     pub(super) sensed: &'a [Point],
-    pub(super) pairs: &'a [Pair],
+    pub(super) correspondences: &'a [Correspondence],
     pub(super) pose: Pose2,
     pub(super) metric: Metric,
     /// Standard deviation of every range, m.
     pub(super) range_noise: f64,
 }
 
-impl UncertaintyEstimator {
+impl CovarianceEstimator {
     pub(super) fn estimate(&mut self, solution: &Solution) -> Uncertainty {
         let reference = solution.reference;
         let transform = solution.pose.transform();
         self.by_reference_range.clear();
         self.by_reference_range.resize(reference.len(), Vector3::zeros());
         let mut sums = Sums::default();
-        for pair in solution.pairs {
+        for pair in solution.correspondences {
             let p = solution.sensed[pair.sensed as usize];
             let (first, second) = reference.segment_rays(pair.segment as usize);
             let (j, k) = if pair.ray as usize == first { (first, second) } else { (second, first) };
@@ -41,17 +42,17 @@ impl UncertaintyEstimator {
             let (rotated, range) = (transform.rotate(p), p.norm());
             sums.distance += range;
             let mut by_sensed_range = Vector3::zeros();
-            let mut add = |normal: Point, turns: bool| {
-                // Whatever point of the segment's line: the nearest ray's.
+            let mut add = |normal: Point, is_segment: bool| {
+                // Any point on the line of the segment serves as q: take that of the nearest ray.
                 let term = Term::new(normal, transform.apply(p) - points[j], rotated);
                 sums.add(&term);
                 by_sensed_range += term.gradient_by_sensed_range(&(rotated / range));
                 self.by_reference_range[j] -= term.gradient_by_offset(&rays[j].direction);
-                if turns {
+                if is_segment {
                     let d = points[j] - points[k];
-                    let turn = |v: &Point| d.perp(v) / d.norm_squared();
-                    self.by_reference_range[j] += term.gradient_by_turn(turn(&rays[j].direction));
-                    self.by_reference_range[k] -= term.gradient_by_turn(turn(&rays[k].direction));
+                    let rotation = |v: &Point| d.perp(v) / d.norm_squared();
+                    self.by_reference_range[j] += term.gradient_by_rotation(rotation(&rays[j].direction));
+                    self.by_reference_range[k] -= term.gradient_by_rotation(rotation(&rays[k].direction));
                 }
             };
             match solution.metric {
@@ -67,13 +68,16 @@ impl UncertaintyEstimator {
         Uncertainty {
             covariance,
             information: covariance.and_then(Matrix3::try_inverse),
-            condition_number: condition_number(&symmetric(&sums.information), sums.distance / solution.pairs.len().max(1) as f64),
+            condition_number: condition_number(
+                &symmetric(&sums.information),
+                sums.distance / solution.correspondences.len().max(1) as f64,
+            ),
             free_direction: None,
         }
     }
 }
 
-/// One squared distance of the sum that is minimised, `e^2` with `e = n . (R p + t - q)`, half its gradient `e a`, and derivatives.
+/// One term `e^2` of the minimised sum, with `e = n . (R p + t - q)`, half its gradient `e a`, and its derivatives.
 struct Term {
     normal: Point,
     /// `R p + t - q`.
@@ -93,37 +97,37 @@ impl Term {
         Self { normal, offset, rotated, error: normal.dot(&offset), by_pose }
     }
 
-    /// Change of the half gradient as the sensed point moves outwards on its ray, which points along `v`.
+    /// Derivative of the half gradient by the range of the sensed point, whose ray points along `v`.
     #[inline]
     fn gradient_by_sensed_range(&self, v: &Point) -> Vector3<f64> {
         self.by_pose * self.normal.dot(v) + Vector3::new(0.0, 0.0, self.error * self.normal.dot(&perpendicular(*v)))
     }
 
-    /// Change of the half gradient as the sensed point moves along `v` relative to the reference, without turning.
+    /// Derivative of the half gradient by a displacement of the sensed point along `v` relative to the reference.
     #[inline]
     fn gradient_by_offset(&self, v: &Point) -> Vector3<f64> {
         self.by_pose * self.normal.dot(v)
     }
 
-    /// Change of the half gradient as the normal turns by `turn` rad per metre of range.
+    /// Derivative of the half gradient by a range that rotates the normal by `rotation` rad per metre.
     #[inline]
-    fn gradient_by_turn(&self, turn: f64) -> Vector3<f64> {
-        let dn = perpendicular(self.normal) * turn;
+    fn gradient_by_rotation(&self, rotation: f64) -> Vector3<f64> {
+        let dn = perpendicular(self.normal) * rotation;
         let change = Vector3::new(dn.x, dn.y, dn.dot(&perpendicular(self.rotated)));
         self.by_pose * dn.dot(&self.offset) + change * self.error
     }
 }
 
-/// Sums over all terms. Of the symmetric matrices the lower triangles are left empty until the end.
+/// Sums over all terms. Only the upper triangles of the symmetric matrices are filled.
 #[derive(Default)]
 struct Sums {
-    /// Gauss-Newton's: of `a a'`.
+    /// Sum of `a a'`: the Gauss-Newton matrix.
     information: Matrix3<f64>,
-    /// What the Hessian has beyond it: in the heading alone.
+    /// Heading entry of the Hessian beyond the Gauss-Newton matrix; its other entries are zero.
     curvature: f64,
-    /// Of the outer products of the gradient's derivatives by the ranges.
+    /// Sum of the outer products of the derivatives of the half gradient by the ranges.
     spread: Matrix3<f64>,
-    /// Of the pairs' distances from the sensed laser, m.
+    /// Sum of the distances of the points from the sensed laser, m.
     distance: f64,
 }
 

@@ -1,5 +1,5 @@
-//! Pairs a point with the segment at its nearest reference point, as PL-ICP does (Censi 2008), and leaves out the worst pairs. Of the
-//! views of a reference only the first takes part.
+//! Classic PL-ICP (Censi 2008): pairs each point with the segment at its nearest reference point, and rejects the worst
+//! correspondences. Only the first view of the reference is used.
 
 pub mod correspondence;
 mod covariance;
@@ -8,7 +8,7 @@ pub mod rejection;
 
 use std::sync::Arc;
 
-use super::pairing::{Pairing, Pairs, PlacedView};
+use super::data_association::{Correspondences, DataAssociation, PlacedView};
 use super::ray_order::RayOrder;
 use super::solver::{Metric, QuadraticForm};
 use super::view::View;
@@ -16,30 +16,31 @@ use super::{FirstGuess, Uncertainty};
 use crate::geometry::{Point, Pose2};
 use crate::scan::Scan;
 use correspondence::{CorrespondenceSearch, Nearest};
-use covariance::{Solution, UncertaintyEstimator};
+use covariance::{CovarianceEstimator, Solution};
 use reference::Reference;
-use rejection::{Pair, Rejection, RejectionKnobs};
+use rejection::{Correspondence, Rejection, RejectionKnobs};
 
+/// Nearest-point data association.
 pub(super) struct ClosestPoint {
     max_distance: f64,
     range_noise: f64,
     search: Box<dyn CorrespondenceSearch>,
     rejection: Rejection,
-    uncertainty: UncertaintyEstimator,
-    /// Whose scan the reference is.
+    uncertainty: CovarianceEstimator,
+    /// The view that the reference was made of.
     view: Option<Arc<View>>,
     reference: Reference,
     /// All points of the sensed scan, in its own frame.
     points: Vec<Point>,
-    /// Those that take part.
+    /// The selected ones, in the frame of the sensed scan.
     sensed: Vec<Point>,
     moved: Vec<Point>,
     nearest: Vec<Nearest>,
-    pairs: Vec<Pair>,
+    pairs: Vec<Correspondence>,
 }
 
 impl ClosestPoint {
-    /// `max_distance`: of a pair, m; `range_noise`: standard deviation of a range, m.
+    /// `max_distance`: maximum distance of corresponding points, m; `range_noise`: standard deviation of a range, m.
     pub(super) fn new(
         search: Box<dyn CorrespondenceSearch>,
         rejection: &RejectionKnobs,
@@ -51,7 +52,7 @@ impl ClosestPoint {
             range_noise,
             search,
             rejection: Rejection::new(rejection.clone()),
-            uncertainty: UncertaintyEstimator::default(),
+            uncertainty: CovarianceEstimator::default(),
             view: None,
             reference: Reference::default(),
             points: Vec::new(),
@@ -86,7 +87,7 @@ impl ClosestPoint {
 }
 
 #[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
-impl Pairing for ClosestPoint {
+impl DataAssociation for ClosestPoint {
     fn view(&mut self, scan: Scan) -> View {
         View::bare(scan)
     }
@@ -104,23 +105,23 @@ impl Pairing for ClosestPoint {
         self.pairs.clear();
     }
 
-    fn sense(&mut self, scan: &Scan) {
+    fn set_sensed(&mut self, scan: &Scan) {
         self.points.clear();
         self.points.extend(scan.rays().map(|(_, direction, range)| direction * range));
     }
 
-    fn choose_rays(&mut self, order: RayOrder) {
+    fn select_rays(&mut self, order: RayOrder) {
         self.sensed.clear();
         self.sensed.extend(order.rays().map(|ray| self.points[ray]));
         self.nearest.clear();
         self.nearest.resize(self.sensed.len(), Nearest::NONE);
     }
 
-    fn rays(&self) -> usize {
+    fn ray_count(&self) -> usize {
         self.sensed.len()
     }
 
-    fn pair(&mut self, pose: &Pose2, metric: Metric) -> Option<Pairs> {
+    fn find_correspondences(&mut self, pose: &Pose2, metric: Metric) -> Option<Correspondences> {
         if self.reference.is_empty() {
             return None;
         }
@@ -129,25 +130,26 @@ impl Pairing for ClosestPoint {
         self.moved.extend(self.sensed.iter().map(|&p| transform.apply(p)));
         self.search.find(&self.reference, &self.moved, self.max_distance, &mut self.nearest);
         pair_up(&self.reference, &self.moved, &self.nearest, metric, &mut self.pairs);
-        let correspondences = self.pairs.len() as u32;
+        let count = self.pairs.len() as u32;
         self.rejection.apply(&mut self.pairs, &self.nearest, self.reference.len());
-        Some(Pairs {
+        Some(Correspondences {
             form: self.quadratic_form(metric),
-            correspondences,
+            count,
             inliers: self.pairs.len() as u32,
             mean_residual: self.mean_residual(),
             fingerprint: Some(fingerprint(&self.pairs)),
-            settled: true,
+            is_kernel_settled: true,
         })
     }
 
     fn uncertainty(&mut self, pose: &Pose2, metric: Metric) -> Uncertainty {
-        // The residual holds the noise of both scans; the mean of |e| is sqrt(2/pi) of a normal e's standard deviation.
+        // The residuals contain the noise of both scans, and the mean of |e| is sqrt(2/pi) times the standard deviation of a
+        // normally distributed e.
         let observed_noise = self.mean_residual() * (std::f64::consts::PI / 4.0).sqrt();
         self.uncertainty.estimate(&Solution {
             reference: &self.reference,
             sensed: &self.sensed,
-            pairs: &self.pairs,
+            correspondences: &self.pairs,
             pose: *pose,
             metric,
             range_noise: observed_noise.max(self.range_noise),
@@ -156,17 +158,19 @@ impl Pairing for ClosestPoint {
 
     fn matched_points(&self, pose: &Pose2, points: &mut Vec<(Point, Point)>) {
         let transform = pose.transform();
-        let of = |pair: &Pair| (transform.apply(self.sensed[pair.sensed as usize]), self.reference.points()[pair.ray as usize]);
+        let of = |pair: &Correspondence| {
+            (transform.apply(self.sensed[pair.sensed as usize]), self.reference.points()[pair.ray as usize])
+        };
         points.extend(self.pairs.iter().map(of));
     }
 }
 
-/// Pairs each sensed point that has a nearest ray with the segment there.
+/// Pairs each sensed point that has a nearest ray with the segment at that ray.
 #[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
-fn pair_up(reference: &Reference, moved: &[Point], nearest: &[Nearest], metric: Metric, pairs: &mut Vec<Pair>) {
+fn pair_up(reference: &Reference, moved: &[Point], nearest: &[Nearest], metric: Metric, pairs: &mut Vec<Correspondence>) {
     pairs.clear();
     for (i, (&point, found)) in moved.iter().zip(nearest).enumerate() {
-        if !found.found() {
+        if !found.is_match() {
             continue;
         }
         let Some(segment) = reference.segment_at(found.ray as usize, point) else { continue };
@@ -177,12 +181,12 @@ fn pair_up(reference: &Reference, moved: &[Point], nearest: &[Nearest], metric: 
             }
             Metric::PointToPoint => found.squared_distance,
         };
-        pairs.push(Pair { sensed: i as u32, ray: found.ray, segment: segment as u32, squared_error });
+        pairs.push(Correspondence { sensed: i as u32, ray: found.ray, segment: segment as u32, squared_error });
     }
 }
 
-/// A hash of which points are paired (FNV-1a, by words).
-fn fingerprint(pairs: &[Pair]) -> u64 {
+/// Hash of the set of correspondences (FNV-1a, by words).
+fn fingerprint(pairs: &[Correspondence]) -> u64 {
     pairs.iter().fold(0xcbf2_9ce4_8422_2325, |hash, pair| {
         let word = u64::from(pair.sensed) << 32 | u64::from(pair.ray) << 1 | u64::from(pair.segment == pair.ray);
         (hash ^ word).wrapping_mul(0x0000_0100_0000_01b3)

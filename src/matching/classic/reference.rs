@@ -1,12 +1,12 @@
-//! The reference scan as the searches and solvers use it: measured rays only, with the segments between them.
+//! The reference scan for nearest-point matching: the measured rays, and the segments between neighbouring points.
 
 use crate::geometry::{Point, perpendicular};
 use crate::scan::Scan;
 
-/// Marks the absence of a ray in tables of indices.
+/// Marks the absence of a ray in index tables.
 pub(crate) const NO_RAY: u32 = u32::MAX;
 
-/// A ray that carries a measurement.
+/// A ray with a measurement.
 #[derive(Clone, Copy, Debug)]
 pub struct Ray {
     /// Unit vector.
@@ -20,12 +20,12 @@ pub struct Ray {
 pub struct Segment {
     /// Unit normal.
     pub normal: Point,
-    /// The line is where `normal . x` has this value, m.
+    /// Offset of the line, m: `normal . x = offset` for its points x.
     pub offset: f64,
 }
 
-/// The measured rays of a reference scan in sweep order. Rays without a measurement are left out; indices into it are "ray"
-/// indices, not beam indices.
+/// The measured rays of a reference scan in sweep order. Rays without a measurement are left out, so a ray index is not a beam
+/// index.
 #[derive(Debug, Default)]
 pub struct Reference {
     rays: Vec<Ray>,
@@ -39,13 +39,13 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// Takes over a scan; memory of the last one is reused.
+    /// Sets the reference scan; reuses the memory of the previous one.
     pub fn set(&mut self, scan: &Scan) {
         let beams = scan.beams();
         self.angle_min = beams.angle(0);
         self.angle_increment = beams.angle_increment();
         self.gap = beams.gap();
-        self.closed = beams.closes();
+        self.closed = beams.is_full_circle();
         self.rays.clear();
         self.points.clear();
         self.beam_of_ray.clear();
@@ -54,16 +54,17 @@ impl Reference {
             self.points.push(direction * range);
             self.beam_of_ray.push(u32::try_from(beam).unwrap_or(NO_RAY));
         }
-        self.drop_doubled_end(scan.len());
+        self.remove_duplicate_end(scan.len());
         self.connect();
     }
 
-    /// Where the last beam looks the way of the first, their points are no two ends of a segment: one of them goes.
-    fn drop_doubled_end(&mut self, beams: usize) {
-        let doubled = self.closed && self.gap < 0.5 * self.angle_increment.abs();
+    /// If the last beam points in the same direction as the first, their points are no two ends of a segment: the last ray is
+    /// removed.
+    fn remove_duplicate_end(&mut self, beams: usize) {
+        let ends_coincide = self.closed && self.gap < 0.5 * self.angle_increment.abs();
         let has_both_ends =
             self.beam_of_ray.first() == Some(&0) && self.beam_of_ray.last().is_some_and(|&b| b as usize + 1 == beams);
-        if doubled && has_both_ends {
+        if ends_coincide && has_both_ends {
             self.rays.pop();
             self.points.pop();
             self.beam_of_ray.pop();
@@ -90,12 +91,12 @@ impl Reference {
         self.rays.is_empty()
     }
 
-    /// Rays in sweep order.
+    /// The rays in sweep order.
     pub fn rays(&self) -> &[Ray] {
         &self.rays
     }
 
-    /// Their end points, m, in the laser's frame.
+    /// The end points of the rays, m, in the frame of the laser.
     pub fn points(&self) -> &[Point] {
         &self.points
     }
@@ -105,22 +106,22 @@ impl Reference {
         &self.segments[i]
     }
 
-    /// Whether the ray after the last one is the first.
+    /// Whether the scan is closed: the first ray follows the last one.
     pub fn closed(&self) -> bool {
         self.closed
     }
 
-    /// Angle that the sweep leaves out, rad.
+    /// Angle not covered by the sweep, rad.
     pub fn gap(&self) -> f64 {
         self.gap
     }
 
-    /// +1 when the sweep runs counter-clockwise, -1 otherwise.
+    /// +1 if the sweep runs counter-clockwise, -1 otherwise.
     pub fn sweep_sign(&self) -> f64 {
         self.angle_increment.signum()
     }
 
-    /// The rays before and after ray `i` in the sweep.
+    /// The neighbours of ray `i` in the sweep: the ray before it and the ray after it.
     pub fn neighbours(&self, i: usize) -> (Option<usize>, Option<usize>) {
         let last = self.len() - 1;
         let before = if i > 0 { Some(i - 1) } else { self.closed.then_some(last) };
@@ -128,7 +129,7 @@ impl Reference {
         (before, after)
     }
 
-    /// The segment at ray `nearest` on the side where `point` has its second nearest neighbour: the index of its first ray.
+    /// The segment at ray `nearest` on the side of the second nearest neighbour of `point`: the index of its first ray.
     pub fn segment_at(&self, nearest: usize, point: Point) -> Option<usize> {
         let squared_distance = |i: usize| (self.points[i] - point).norm_squared();
         match self.neighbours(nearest) {
@@ -143,14 +144,14 @@ impl Reference {
         (i, (i + 1) % self.len())
     }
 
-    /// The ray whose direction is about that of `point`.
+    /// The ray that points approximately towards `point`.
     #[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
     pub fn ray_towards(&self, point: Point) -> u32 {
         let offset = (point.y.atan2(point.x) - self.angle_min) * self.sweep_sign();
-        // Past the sweep's middle of the gap, the first beam is nearer than the last.
-        let turned = offset.rem_euclid(std::f64::consts::TAU);
+        // Beyond the middle of the gap, the first beam is nearer than the last.
+        let along_sweep = offset.rem_euclid(std::f64::consts::TAU);
         let sweep = std::f64::consts::TAU - self.gap;
-        let beam = if turned > sweep + 0.5 * self.gap { 0.0 } else { turned / self.angle_increment.abs() };
+        let beam = if along_sweep > sweep + 0.5 * self.gap { 0.0 } else { along_sweep / self.angle_increment.abs() };
         self.beam_of_ray.partition_point(|&b| f64::from(b) < beam).min(self.len() - 1) as u32
     }
 }

@@ -1,36 +1,36 @@
-//! Which correspondences to leave out of a step. Everything here is linear in their number.
+//! Outlier rejection for classic correspondences, in linear time.
 
 use super::correspondence::Nearest;
 use crate::quantile::quantile;
 
-/// A sensed point with its partner in the reference scan.
+/// A correspondence: a sensed point and its partner in the reference scan.
 #[derive(Clone, Copy, Debug)]
-pub struct Pair {
+pub struct Correspondence {
     /// Index of the sensed point.
     pub sensed: u32,
     /// Index of the nearest reference ray.
     pub ray: u32,
-    /// Index of the reference segment: its first ray.
+    /// Index of the reference segment, which is that of its first ray.
     pub segment: u32,
-    /// Squared error of the pair in the metric of the solver, m^2.
+    /// Squared error in the metric of the solver, m^2.
     pub squared_error: f64,
 }
 
 crate::knobs! {
-    /// Which correspondences are left out.
+    /// How outliers are rejected from classic correspondences.
     pub struct RejectionKnobs {
-        /// Of several sensed points on one reference point, keep the nearest only.
+        /// If several sensed points have the same nearest reference point, keep only the nearest of them.
         remove_duplicates: bool = true;
-        /// Part of the correspondences to keep, smallest errors first (trimming).
+        /// Fraction of the correspondences to keep, those with the smallest errors (trimming).
         trim_percentile: f64 = 0.98, in 0.1 to 1;
-        /// Adaptive trimming: the error at this percentile, times `adaptive_multiplier`, is the largest allowed.
+        /// Adaptive trimming: the maximum error is the error at this percentile times `adaptive_multiplier`.
         adaptive_percentile: f64 = 0.7, in 0.1 to 1;
         /// See `adaptive_percentile`.
         adaptive_multiplier: f64 = 6.0, in 1 to 1000;
     }
 }
 
-/// Working memory of the rejection.
+/// Outlier rejection with its buffers.
 #[derive(Debug, Default)]
 pub(super) struct Rejection {
     knobs: RejectionKnobs,
@@ -43,16 +43,16 @@ impl Rejection {
         Self { knobs, ..Self::default() }
     }
 
-    /// Removes from `pairs` what must not take part. `nearest` gives the point distances by sensed point.
-    pub(super) fn apply(&mut self, pairs: &mut Vec<Pair>, nearest: &[Nearest], reference_rays: usize) {
+    /// Removes the outliers from `pairs`. `nearest` gives the distance of each sensed point from its nearest reference point.
+    pub(super) fn apply(&mut self, pairs: &mut Vec<Correspondence>, nearest: &[Nearest], reference_rays: usize) {
         if self.knobs.remove_duplicates {
             self.remove_duplicates(pairs, nearest, reference_rays);
         }
         self.trim(pairs);
     }
 
-    fn remove_duplicates(&mut self, pairs: &mut Vec<Pair>, nearest: &[Nearest], reference_rays: usize) {
-        let distance = |pair: &Pair| nearest[pair.sensed as usize].squared_distance;
+    fn remove_duplicates(&mut self, pairs: &mut Vec<Correspondence>, nearest: &[Nearest], reference_rays: usize) {
+        let distance = |pair: &Correspondence| nearest[pair.sensed as usize].squared_distance;
         self.nearest_of_ray.clear();
         self.nearest_of_ray.resize(reference_rays, f64::INFINITY);
         for pair in &*pairs {
@@ -62,7 +62,7 @@ impl Rejection {
         pairs.retain(|pair| distance(pair) <= self.nearest_of_ray[pair.ray as usize]);
     }
 
-    fn trim(&mut self, pairs: &mut Vec<Pair>) {
+    fn trim(&mut self, pairs: &mut Vec<Correspondence>) {
         self.errors.clear();
         self.errors.extend(pairs.iter().map(|pair| pair.squared_error));
         let multiplier = self.knobs.adaptive_multiplier * self.knobs.adaptive_multiplier;
@@ -78,11 +78,11 @@ impl Rejection {
 mod tests {
     use super::*;
 
-    fn pair(sensed: u32, ray: u32, squared_error: f64) -> Pair {
-        Pair { sensed, ray, segment: ray, squared_error }
+    fn pair(sensed: u32, ray: u32, squared_error: f64) -> Correspondence {
+        Correspondence { sensed, ray, segment: ray, squared_error }
     }
 
-    fn kept(knobs: RejectionKnobs, pairs: &[Pair]) -> Vec<u32> {
+    fn kept(knobs: RejectionKnobs, pairs: &[Correspondence]) -> Vec<u32> {
         let nearest: Vec<_> = pairs.iter().map(|p| Nearest { ray: p.ray, squared_distance: p.squared_error }).collect();
         let mut pairs = pairs.to_vec();
         Rejection::new(knobs).apply(&mut pairs, &nearest, 100);
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn of_duplicates_the_nearest_stays() {
+    fn the_nearest_of_duplicates_is_kept() {
         let knobs = RejectionKnobs { trim_percentile: 1.0, adaptive_multiplier: 1000.0, ..RejectionKnobs::default() };
         let pairs = [pair(0, 7, 0.3), pair(1, 7, 0.1), pair(2, 8, 0.2)];
         assert_eq!(kept(knobs.clone(), &pairs), [1, 2]);
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn the_adaptive_limit_takes_out_what_the_bulk_rules_out() {
+    fn the_adaptive_limit_rejects_errors_far_above_those_of_the_bulk() {
         let knobs = RejectionKnobs {
             trim_percentile: 1.0,
             adaptive_percentile: 0.5,

@@ -1,16 +1,18 @@
-//! Nonlinear least squares by Levenberg-Marquardt, damped after Nielsen (1999).
+//! Nonlinear least squares by Levenberg-Marquardt, with the damping of Nielsen (1999).
 //!
-//! Three parameters on a quadratic form are few lines; the `levenberg-marquardt` crate works on residual vectors of the length of
-//! the scan instead, which it allocates.
+//! For three parameters on a quadratic form this takes few lines. The `levenberg-marquardt` crate works on residual vectors as
+//! long as the scan, and allocates them.
 
 use nalgebra::Matrix3;
 
 use super::QuadraticForm;
 use crate::geometry::Pose2;
 
+/// Maximum number of steps.
 const MAX_STEPS: usize = 50;
-/// Relative decrease below which nothing is left to gain.
+/// The solution has converged when a step lowers the cost by less than this fraction.
 const COST_TOLERANCE: f64 = 1e-14;
+/// The solution has converged when a step is shorter than this, in m and rad.
 const STEP_TOLERANCE: f64 = 1e-12;
 
 pub(super) fn solve(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {

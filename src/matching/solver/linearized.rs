@@ -1,11 +1,12 @@
-//! One step of linear least squares: the heading's change taken as small.
+//! One Gauss-Newton step: linear least squares for a small change of heading.
 
 use nalgebra::Matrix3;
 
 use super::QuadraticForm;
 use crate::geometry::Pose2;
 
-/// Holds directions that the pairs leave open where they are; far below what any measurement weighs.
+/// Regularization that keeps the pose fixed along unconstrained directions, relative to the trace of the Hessian. It is far below
+/// the weight of any measurement.
 const REGULARIZATION: f64 = 1e-12;
 
 pub(super) fn solve(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {

@@ -1,9 +1,10 @@
-//! The pose that fits the pairs best.
+//! Solvers: the pose that minimises the error of the correspondences.
 //!
-//! One pass over the pairs gathers their summed squared error as a [`QuadraticForm`] of `(x, y, cos, sin)`; each solver is a way
-//! to minimise that form, of constant cost whatever the number of pairs.
+//! One pass over the correspondences sums their squared errors into a [`QuadraticForm`] of `(x, y, cos, sin)`. Each solver
+//! minimises that form, in constant time whatever the number of correspondences.
 //!
-//! To add a solver: a file with a function like the others' `solve`, a variant in [`SolverKind`] and a line in `SolverKind::function`.
+//! To add a solver, write a file with a function like the other `solve` functions, and add a variant to [`SolverKind`] and a line
+//! to `SolverKind::function`.
 
 mod levenberg_marquardt;
 mod linearized;
@@ -16,17 +17,17 @@ use nalgebra::{Matrix2, Matrix3, Matrix4, Matrix4x3, Vector3, Vector4};
 
 use crate::geometry::{Point, Pose2, PoseCovariance};
 
-/// What the error of a pair is.
+/// Error metric of a correspondence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Metric {
-    /// Distance of the sensed point from the reference segment's line.
+    /// Distance of the sensed point from the line of the reference segment.
     PointToLine,
     /// Distance of the sensed point from the reference point.
     PointToPoint,
 }
 
 crate::choices! {
-    /// The solvers there are.
+    /// Solvers.
     pub enum SolverKind {
         /// Point-to-line error, global minimum in closed form (Censi 2008).
         PointToLine = "point_to_line",
@@ -40,12 +41,13 @@ crate::choices! {
 }
 
 impl SolverKind {
-    /// The error that it is for.
+    /// The error metric that the solver minimises.
     pub fn metric(self) -> Metric {
         if self == Self::PointToPoint { Metric::PointToPoint } else { Metric::PointToLine }
     }
 
-    /// The pose that minimises a form. `prior` decides what the pairs leave open; iterative solvers start there. `None`: no finite answer.
+    /// The pose that minimises a form. `prior` decides along unconstrained directions, and iterative solvers start there. `None`:
+    /// there is no finite solution.
     pub fn solve(self, form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
         self.function()(form, prior).filter(Pose2::is_finite)
     }
@@ -60,7 +62,8 @@ impl SolverKind {
     }
 }
 
-/// The sum over pairs of `(R p + t - q)' C (R p + t - q)` as a function of `x = (t, cos, sin)`: `x' M x + g' x + c` (Censi 2008, section III).
+/// The sum over correspondences of `(R p + t - q)' C (R p + t - q)` as a function of `x = (t, cos, sin)`: `x' M x + g' x + c`
+/// (Censi 2008, section III).
 #[derive(Clone, Copy, Debug)]
 pub struct QuadraticForm {
     matrix: Matrix4<f64>,
@@ -95,9 +98,9 @@ impl QuadraticForm {
         self.constant += q.dot(&(c * q));
     }
 
-    /// The form whose sum of `w a a'` (upper triangle, row by row), of `w a e` and of `w e^2` are known at a pose, `e` being the errors
-    /// there: their digits are not lost to the pose's.
-    pub fn about(pose: &Pose2, upper: &[f64; 10], gradient: &[f64; 4], value: f64) -> Self {
+    /// The form from sums at a pose, where the errors are `e`: of `w a a'` (upper triangle, row by row), of `w a e` and of `w
+    /// e^2`. Sums of errors at the pose lose no digits to the size of its coordinates.
+    pub fn from_sums(pose: &Pose2, upper: &[f64; 10], gradient: &[f64; 4], value: f64) -> Self {
         let [m11, m12, m13, m14, m22, m23, m24, m33, m34, m44] = *upper;
         #[rustfmt::skip]
         let matrix = Matrix4::new(
@@ -111,16 +114,16 @@ impl QuadraticForm {
         Self { matrix, gradient, constant: value - x.dot(&(matrix * x)) - gradient.dot(&x) }
     }
 
-    /// What is known of the pose beforehand: `covariance` (m, m, rad) about `pose`, in units of errors of variance `unit`.
-    pub fn of_prior(pose: &Pose2, covariance: &PoseCovariance, unit: f64) -> Self {
+    /// The form of a prior with `covariance` (m, m, rad) about `pose`. `unit`: variance of an error of weight 1.
+    pub fn from_prior(pose: &Pose2, covariance: &PoseCovariance, unit: f64) -> Self {
         let Some(information) = covariance.try_inverse().map(|inverse| inverse * unit) else { return Self::default() };
-        // |u - u0| is the angle between the two, for small ones: along u0's perpendicular.
+        // For small angles, |u - u0| is the angle between the two, along the perpendicular of u0.
         let (sin, cos) = pose.theta.sin_cos();
         let by_pose = nalgebra::Matrix3x4::new(1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, -sin, cos);
         let coupled = by_pose.transpose() * information * by_pose;
         let x = lift(pose);
         let mut form = Self { matrix: coupled, gradient: -2.0 * coupled * x, constant: x.dot(&(coupled * x)) };
-        // Across, the sine of the angle alone would not tell a heading from its opposite.
+        // The sine of the angle alone, measured along the perpendicular, could not tell a heading from its opposite.
         let kappa = information.m33;
         let along = Vector4::new(0.0, 0.0, cos, sin);
         form.matrix += kappa * along * along.transpose();
@@ -129,42 +132,42 @@ impl QuadraticForm {
         form
     }
 
-    /// A form of poses in `frame`, as one of poses in the frame that `frame` is given in.
+    /// Converts a form of poses in `frame` to one of poses in the parent frame of `frame`.
     #[must_use]
-    pub fn seen_from(&self, frame: &Pose2) -> Self {
+    pub fn in_parent_frame(&self, frame: &Pose2) -> Self {
         if *frame == Pose2::IDENTITY {
             return *self;
         }
         let (sin, cos) = frame.theta.sin_cos();
         #[rustfmt::skip]
-        let turn = Matrix4::new(
+        let rotation = Matrix4::new(
             cos, sin, 0.0, 0.0,
             -sin, cos, 0.0, 0.0,
             0.0, 0.0, cos, sin,
             0.0, 0.0, -sin, cos,
         );
-        let shift = -turn * Vector4::new(frame.x, frame.y, 0.0, 0.0);
+        let shift = -rotation * Vector4::new(frame.x, frame.y, 0.0, 0.0);
         let gradient = self.gradient + 2.0 * self.matrix * shift;
         Self {
-            matrix: turn.transpose() * self.matrix * turn,
-            gradient: turn.transpose() * gradient,
+            matrix: rotation.transpose() * self.matrix * rotation,
+            gradient: rotation.transpose() * gradient,
             constant: self.constant + self.gradient.dot(&shift) + shift.dot(&(self.matrix * shift)),
         }
     }
 
-    /// Weighed as a whole.
+    /// The form multiplied by a factor.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
         Self { matrix: self.matrix * factor, gradient: self.gradient * factor, constant: self.constant * factor }
     }
 
-    /// The sum at a pose. Rounding can take it a little below zero.
+    /// The value of the sum at a pose. Rounding can make it slightly negative.
     pub fn value(&self, pose: &Pose2) -> f64 {
         let x = lift(pose);
         x.dot(&(self.matrix * x)) + self.gradient.dot(&x) + self.constant
     }
 
-    /// Gradient and Gauss-Newton approximation of the Hessian of the sum, in (x, y, heading), at a pose.
+    /// Gradient of the sum at a pose and Gauss-Newton approximation of its Hessian, in (x, y, heading).
     pub fn linearize(&self, pose: &Pose2) -> (Vector3<f64>, Matrix3<f64>) {
         let (sin, cos) = pose.theta.sin_cos();
         #[rustfmt::skip]
@@ -207,6 +210,7 @@ impl AddAssign for QuadraticForm {
     }
 }
 
+/// The vector `x = (t, cos, sin)` of a pose.
 fn lift(pose: &Pose2) -> Vector4<f64> {
     let (sin, cos) = pose.theta.sin_cos();
     Vector4::new(pose.x, pose.y, cos, sin)
@@ -242,33 +246,33 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_form_has_the_same_value_seen_from_elsewhere(pairs in pairs(), frame in poses(), pose in poses()) {
+        fn a_form_has_the_same_value_in_another_frame(pairs in pairs(), frame in poses(), pose in poses()) {
             let form = form(&pairs);
-            assert_same(form.seen_from(&frame).value(&(frame * pose)), form.value(&pose));
+            assert_same(form.in_parent_frame(&frame).value(&(frame * pose)), form.value(&pose));
         }
 
         #[test]
-        fn sums_about_a_pose_make_the_same_form(pairs in pairs(), about in poses(), pose in poses()) {
+        fn sums_at_a_pose_give_the_same_form(pairs in pairs(), at in poses(), pose in poses()) {
             let (mut upper, mut gradient, mut value) = ([0.0; 10], [0.0; 4], 0.0);
             for &(p, normal, offset, weight) in &pairs {
-                let error = normal.dot(&about.transform().apply(p)) - offset;
+                let error = normal.dot(&at.transform().apply(p)) - offset;
                 let a = [normal.x, normal.y, normal.dot(&p), normal.y * p.x - normal.x * p.y];
                 let products = (0..4).flat_map(|i| (i..4).map(move |j| (i, j)));
                 products.enumerate().for_each(|(k, (i, j))| upper[k] += weight * a[i] * a[j]);
                 (0..4).for_each(|i| gradient[i] += weight * a[i] * error);
                 value += weight * error * error;
             }
-            assert_same(QuadraticForm::about(&about, &upper, &gradient, value).value(&pose), form(&pairs).value(&pose));
+            assert_same(QuadraticForm::from_sums(&at, &upper, &gradient, value).value(&pose), form(&pairs).value(&pose));
         }
 
         #[test]
-        fn a_prior_is_least_at_its_pose_and_curves_as_its_covariance_says(pose in poses(), x in 0.01..1.0, y in 0.01..1.0, heading in 0.01..1.0) {
+        fn a_prior_is_minimal_at_its_pose_and_has_its_covariance(pose in poses(), x in 0.01..1.0, y in 0.01..1.0, heading in 0.01..1.0) {
             let covariance = PoseCovariance::from_diagonal(&[x * x, y * y, heading * heading].into());
-            let prior = QuadraticForm::of_prior(&pose, &covariance, 1e-4);
+            let prior = QuadraticForm::from_prior(&pose, &covariance, 1e-4);
             let (gradient, hessian) = prior.linearize(&pose);
             assert!(gradient.norm() < 1e-9 && prior.value(&pose).abs() < 1e-9);
             assert!((hessian - 2e-4 * covariance.try_inverse().unwrap()).norm() < 1e-6 * hessian.norm());
-            assert!(prior.value(&Pose2::new(pose.x, pose.y, pose.theta + 3.1)) > 0.0, "the opposite heading is another one");
+            assert!(prior.value(&Pose2::new(pose.x, pose.y, pose.theta + 3.1)) > 0.0, "the opposite heading must have a cost");
         }
     }
 }

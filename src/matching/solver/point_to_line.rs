@@ -1,13 +1,13 @@
-//! Closed-form minimum of the point-to-line error by Lagrange multipliers (Censi 2008, section III).
+//! Closed-form minimum of the point-to-line error with a Lagrange multiplier (Censi 2008, section III).
 //!
-//! Minimise `x' M x + g' x` over `x = (t, u)` with `|u| = 1`. With `2M = [A B; B' D]`, the translation `t = -A^-1 (g1 + B u)` drops
-//! out and leaves, with `S = D - B' A^-1 B`, `h = g2 - B' A^-1 g1` and the multiplier s:
+//! Minimise `x' M x + g' x` over `x = (t, u)` with `|u| = 1`. With `2M = [A B; B' D]`, the translation is `t = -A^-1 (g1 + B u)`.
+//! Eliminating it leaves, with `S = D - B' A^-1 B`, `h = g2 - B' A^-1 g1` and the multiplier s:
 //!
 //! `(S + s I) u = -h`, and `|u| = 1` is a quartic in s.
 //!
-//! The global minimum belongs to its *largest* real root, the one that makes `S + s I` positive semidefinite. In the eigenbasis of
-//! S the quartic reads `sum h_i^2 / (mu_i + s)^2 = 1`: the form that is solved here, because near-degenerate problems cost the
-//! expanded polynomial its digits.
+//! The global minimum belongs to the *largest* real root, the one that makes `S + s I` positive semidefinite. In the eigenbasis
+//! of S the quartic is `sum h_i^2 / (mu_i + s)^2 = 1`. This form is solved here: in nearly degenerate problems, the expanded
+//! polynomial loses its digits.
 
 use nalgebra::Matrix2;
 
@@ -15,10 +15,10 @@ use super::QuadraticForm;
 use crate::geometry::{Point, Pose2};
 use crate::matching::symmetric_eigen::SymmetricEigen;
 
-/// Below this ratio of eigenvalues a direction counts as not seen at all: it holds rounding only.
+/// If the ratio of the eigenvalues is below this, the direction counts as unconstrained: the smaller one is rounding error only.
 const RANK_TOLERANCE: f64 = 1e-13;
 
-/// Newton steps at most; the most ever needed in thousands of random problems is 10.
+/// Maximum number of Newton steps; thousands of random problems needed at most 10.
 const MAX_NEWTON_STEPS: usize = 30;
 
 pub(super) fn solve(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
@@ -33,7 +33,7 @@ pub(super) fn solve(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
     Some(Pose2::new(t.x, t.y, u.y.atan2(u.x)))
 }
 
-/// Pseudo-inverse of a symmetric positive semidefinite matrix, and the projection on what it leaves open.
+/// Pseudo-inverse of a symmetric positive semidefinite matrix, and the projection onto its null space.
 struct PseudoInverse {
     inverse: Matrix2<f64>,
     null_space: Matrix2<f64>,
@@ -56,7 +56,7 @@ impl PseudoInverse {
     }
 }
 
-/// The unit vector u that minimises `u' S u / 2 + h' u`; where two do, or all, the one nearest to `prior`.
+/// The unit vector u that minimises `u' S u / 2 + h' u`. If there are several minima, the one nearest to `prior`.
 fn unit_minimizer(s: &Matrix2<f64>, h: Point, prior: Point) -> Option<Point> {
     let eigen = SymmetricEigen::of(s);
     let (mu, h_minor, h_major) = (eigen.values, h.dot(&eigen.minor), h.dot(&eigen.major));
@@ -71,7 +71,7 @@ fn unit_minimizer(s: &Matrix2<f64>, h: Point, prior: Point) -> Option<Point> {
     if h_minor.abs() <= RANK_TOLERANCE * scale {
         let major = -h_major / (mu.y - mu.x);
         if major.abs() < 1.0 {
-            // The multiplier is at the pole -mu_min: two equal minima.
+            // The multiplier is at the pole -mu_min: there are two equal minima.
             let minor = (1.0 - major * major).sqrt();
             let (one, other) = (from_eigenbasis(minor, major), from_eigenbasis(-minor, major));
             return Some(if one.dot(&prior) >= other.dot(&prior) { one } else { other });
@@ -82,7 +82,8 @@ fn unit_minimizer(s: &Matrix2<f64>, h: Point, prior: Point) -> Option<Point> {
     u.try_normalize(0.0)
 }
 
-/// The largest s with `sum h_i^2 / (mu_i + s)^2 = 1`, `mu.x <= mu.y`: Newton on `(sum)^(-1/2) - 1`, which is nearly linear in s.
+/// The largest s with `sum h_i^2 / (mu_i + s)^2 = 1`, where `mu.x <= mu.y`, by Newton steps on `(sum)^(-1/2) - 1`, which is
+/// nearly linear in s.
 fn largest_root(mu: Point, h: Point) -> f64 {
     let low = (h.x.abs() - mu.x).max(h.y.abs() - mu.y);
     let high = h.norm() - mu.x;
@@ -101,7 +102,7 @@ fn largest_root(mu: Point, h: Point) -> f64 {
     s
 }
 
-/// A component without a gradient takes no part, even at its pole.
+/// A component with zero gradient contributes nothing, even at its pole.
 fn ratio(numerator: f64, denominator: f64) -> f64 {
     if numerator == 0.0 { 0.0 } else { numerator / denominator }
 }

@@ -3,8 +3,8 @@
 use super::QuadraticForm;
 use crate::geometry::Pose2;
 
-/// With C = w I the matrices A and S of the point-to-line solver are multiples of the identity, and its stationarity condition
-/// says that the heading's unit vector u points against h.
+/// With C = w I, the matrices A and S of the point-to-line solver are multiples of the identity. The stationarity condition then
+/// makes the unit vector u of the heading point opposite to h.
 pub(super) fn solve(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
     let weight = form.translation_block().m11;
     if weight <= 0.0 {

@@ -1,37 +1,37 @@
-//! How much ranges err: as much as is assumed, or more, where the lines that were fitted to scans show it.
+//! Range noise: the assumed standard deviation, or a larger one if the lines fitted to the scans show it.
 //!
-//! Ranges that err more than is assumed, and neighbours alike, give lines directions that the wall does not have. In a corridor that is
-//! taken for knowledge of how far one has come along it.
+//! If ranges have more noise than assumed, and neighbouring rays share it, fitted lines get directions that the wall does not
+//! have. In a corridor, this would be taken for information about the position along it.
 
-/// Views that the noise is known from, about; it may change.
+/// Approximate number of views that the noise is averaged over, limited because the noise may change.
 const MEMORY: f64 = 20.0;
 
-/// The noise of ranges.
+/// Estimate of the range noise.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RangeNoise {
-    /// Least standard deviation, m.
+    /// Minimum standard deviation, m.
     assumed: f64,
-    /// Mean variance shown by the views, m^2.
-    shown: f64,
-    /// Views that have shown it.
+    /// Mean variance observed in the views, m^2.
+    observed: f64,
+    /// Number of views averaged, at most [`MEMORY`].
     views: f64,
 }
 
 impl RangeNoise {
-    /// `assumed`: standard deviation, m.
+    /// `assumed`: minimum standard deviation, m.
     pub(super) fn new(assumed: f64) -> Self {
-        Self { assumed, shown: 0.0, views: 0.0 }
+        Self { assumed, observed: 0.0, views: 0.0 }
     }
 
-    /// Standard deviation, m.
-    pub(super) fn deviation(&self) -> f64 {
-        self.shown.sqrt().max(self.assumed)
+    /// Standard deviation of a range, m.
+    pub(super) fn standard_deviation(&self) -> f64 {
+        self.observed.sqrt().max(self.assumed)
     }
 
-    /// Takes note of the variance that a view shows, m^2.
+    /// Adds the variance observed in a view, m^2.
     pub(super) fn observe(&mut self, variance: f64) {
         self.views = (self.views + 1.0).min(MEMORY);
-        self.shown += (variance - self.shown) / self.views;
+        self.observed += (variance - self.observed) / self.views;
     }
 }
 
@@ -40,12 +40,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_views_show_counts_where_it_is_more() {
+    fn observed_noise_counts_if_it_exceeds_the_assumed_one() {
         let mut noise = RangeNoise::new(0.01);
-        assert!((noise.deviation() - 0.01).abs() < 1e-12);
+        assert!((noise.standard_deviation() - 0.01).abs() < 1e-12);
         (0..3).for_each(|_| noise.observe(0.02_f64.powi(2)));
-        assert!((noise.deviation() - 0.02).abs() < 1e-12);
+        assert!((noise.standard_deviation() - 0.02).abs() < 1e-12);
         (0..200).for_each(|_| noise.observe(0.005_f64.powi(2)));
-        assert!((noise.deviation() - 0.01).abs() < 1e-12, "what was shown long ago is forgotten");
+        assert!((noise.standard_deviation() - 0.01).abs() < 1e-12, "old observations are forgotten");
     }
 }

@@ -1,28 +1,28 @@
-//! Rays of the sensed scan by coordinate, eight at a time.
+//! Rays of the sensed scan as blocks of eight for SIMD.
 
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
 
-use super::chords::{FARTHEST, Neighbourhood};
+use super::chords::{MAX_NEIGHBOUR, Neighbourhood};
 use crate::matching::ray_order::RayOrder;
 use crate::matching::surface::LANES;
 use crate::scan::Scan;
 
-/// A number of each ray of a block.
+/// One value per ray of a block.
 pub(super) type Lanes = [f32; LANES];
 
-/// Eight rays, in the scan's frame; zeros past the last.
+/// Eight rays in the frame of the scan; padded with zeros after the last ray.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Block {
-    /// Where they end, m.
+    /// End points, m.
     pub(super) point: [Lanes; 2],
-    /// The chord of the surface there, m.
+    /// Chords of the surfaces at the end points, m.
     pub(super) chord: [Lanes; 2],
-    /// One by their squared ranges, 1/m^2.
+    /// Inverse squared ranges, 1/m^2.
     pub(super) inverse_square: Lanes,
 }
 
 impl Block {
-    /// Takes over a ray of another block.
+    /// Copies a ray from another block.
     #[inline(always)]
     fn copy(&mut self, lane: usize, other: &Self, from: usize) {
         self.inverse_square[lane] = other.inverse_square[from];
@@ -41,8 +41,8 @@ pub(super) struct Rays {
 }
 
 impl Rays {
-    /// Takes over some of all rays.
-    pub(super) fn choose(&mut self, all: &Self, order: RayOrder) {
+    /// Selects the rays of an order from all rays.
+    pub(super) fn select(&mut self, all: &Self, order: RayOrder) {
         if order.is_all() {
             self.len = all.len;
             self.blocks.clone_from(&all.blocks);
@@ -64,20 +64,20 @@ impl Rays {
         }
     }
 
-    fn clear_past_the_last(&mut self) {
+    fn clear_padding(&mut self) {
         let Some(Block { point: [x, y], chord: [chord_x, chord_y], inverse_square }) = self.blocks.last_mut() else { return };
         for lanes in [x, y, chord_x, chord_y, inverse_square] {
             lanes[(self.len - 1) % LANES + 1..].fill(0.0);
         }
     }
 
-    /// Where they end, m.
-    pub(super) fn ends(&self) -> impl Iterator<Item = [f32; 2]> {
-        let ends = |block: &Block| -> [[f32; 2]; LANES] { std::array::from_fn(|lane| block.point.map(|axis| axis[lane])) };
-        self.blocks.iter().flat_map(ends).take(self.len)
+    /// End points, m.
+    pub(super) fn end_points(&self) -> impl Iterator<Item = [f32; 2]> {
+        let end_points = |block: &Block| -> [[f32; 2]; LANES] { std::array::from_fn(|lane| block.point.map(|axis| axis[lane])) };
+        self.blocks.iter().flat_map(end_points).take(self.len)
     }
 
-    /// Their mean length, m.
+    /// Mean range, m.
     pub(super) fn mean_range(&self, level: Level) -> f64 {
         dispatch!(level, simd => self.sum_of_ranges(simd)) / self.len.max(1) as f64
     }
@@ -98,38 +98,38 @@ fn squared_ranges<S: Simd>(simd: S, block: &Block) -> f32x8<S> {
     x.mul_add(x, y * y)
 }
 
-/// All rays of a scan; keeps the memory that it takes to find their chords.
+/// All rays of a scan, with the buffers for computing their chords.
 #[derive(Debug, Default)]
 pub(super) struct AllRays {
     pub(super) rays: Rays,
-    /// Where they end, by coordinate, between as many that end nowhere to either side as neighbours are looked for.
+    /// End points by coordinate, padded with NaN on either side for the neighbour search.
     padded: [Vec<f32>; 2],
 }
 
 impl AllRays {
-    /// Takes over a scan. `noise`: standard deviation of a range, m.
-    #[allow(clippy::cast_possible_truncation)] // to single precision
+    /// Sets the scan. `noise`: standard deviation of a range, m.
+    #[allow(clippy::cast_possible_truncation)] // conversion to single precision
     pub(super) fn set(&mut self, level: Level, scan: &Scan, noise: f64) {
         self.rays.len = scan.valid_len();
         self.rays.blocks.resize(self.rays.len.div_ceil(LANES), Block::default());
         let [x, y] = &mut self.padded;
         for padded in [&mut *x, &mut *y] {
             padded.clear();
-            padded.resize(2 * FARTHEST + self.rays.blocks.len() * LANES, f32::NAN);
+            padded.resize(2 * MAX_NEIGHBOUR + self.rays.blocks.len() * LANES, f32::NAN);
         }
-        let ends = x[FARTHEST..].iter_mut().zip(&mut y[FARTHEST..]);
-        for ((x, y), (_, direction, range)) in ends.zip(scan.rays()) {
+        let end_points = x[MAX_NEIGHBOUR..].iter_mut().zip(&mut y[MAX_NEIGHBOUR..]);
+        for ((x, y), (_, direction, range)) in end_points.zip(scan.rays()) {
             (*x, *y) = ((direction.x * range) as f32, (direction.y * range) as f32);
         }
         dispatch!(level, simd => self.fill_blocks(simd, (noise * noise) as f32));
-        self.rays.clear_past_the_last();
+        self.rays.clear_padding();
     }
 
     #[inline(always)]
     fn fill_blocks<S: Simd>(&mut self, simd: S, noise: f32) {
         let [x, y] = &self.padded;
         for (i, block) in self.rays.blocks.iter_mut().enumerate() {
-            let first = FARTHEST + i * LANES;
+            let first = MAX_NEIGHBOUR + i * LANES;
             block.point[0].copy_from_slice(&x[first..first + LANES]);
             block.point[1].copy_from_slice(&y[first..first + LANES]);
             let neighbourhood = Neighbourhood { simd, x, y, first, noise };

@@ -1,4 +1,5 @@
-//! What [`Projective::pair`] computes, said plainly: one ray after the other, in double precision, without registers of eight.
+//! Reference implementation of [`Projective::find_correspondences`] for tests: one ray at a time, in double precision, without
+//! SIMD.
 
 use nalgebra::Matrix2;
 use proptest::prelude::*;
@@ -9,35 +10,35 @@ use crate::matching::view::Bearings;
 use crate::scan::BeamGeometry;
 use crate::time::Stamp;
 
-/// Sums in single precision are this near to those in double, as a part of the sum.
+/// Maximum relative difference between sums in single and in double precision.
 const PRECISION: f64 = 1e-3;
-/// Beams of a view, and the angle from one to the next, rad.
+/// Number of beams of a view, and the angle between them, rad.
 const BEAMS: (usize, f64) = (181, 0.03);
 
-/// The pairs at one pose, and what is remembered of them for the next ones.
+/// The correspondences at one pose, and the state for the next iteration.
 #[derive(Default)]
-struct Specified {
+struct ReferenceResult {
     form: QuadraticForm,
     totals: Sums,
-    /// Distance of each ray from its nearest partner, m.
+    /// Distance of each ray from its nearest surface, m.
     distances: Vec<f64>,
-    /// What each ray weighs among the next pairs.
-    credits: Vec<f64>,
-    floor: f64,
-    /// Some ray is so near to the limit of the inliers that rounding decides.
+    /// Consistency weight of each ray in the next iteration.
+    weights: Vec<f64>,
+    kernel_variance: f64,
+    /// Whether some ray is so near the inlier limit that rounding decides.
     is_ambiguous: bool,
 }
 
-/// The pairs of points, each with its chord, with the views at a pose. `noise`: standard deviation of a range, m.
-fn specified(
+/// Finds the correspondences of points (each with its chord) with the views at a pose. `noise`: standard deviation of a range, m.
+fn reference_correspondences(
     views: &[PlacedView],
     sensed: &[(Point, Point)],
     pose: &Pose2,
     noise: f64,
-    floor: f64,
-    credits: &[f64],
-) -> Specified {
-    let mut all = Specified { distances: vec![f64::INFINITY; sensed.len()], ..Specified::default() };
+    kernel_variance: f64,
+    weights: &[f64],
+) -> ReferenceResult {
+    let mut all = ReferenceResult { distances: vec![f64::INFINITY; sensed.len()], ..ReferenceResult::default() };
     for (i, &(point, chord)) in sensed.iter().enumerate() {
         let (mut pairs, mut inliers) = (0.0, 0.0);
         for PlacedView { reference_from_view, view } in views {
@@ -49,55 +50,59 @@ fn specified(
             }
             let normal = Point::from(surface.normal().map(f64::from));
             let error = normal.dot(&moved) - f64::from(surface.offset());
-            let incidence = normal.dot(&(turn(&view_from_sensed) * point)) / point.norm();
-            let variance = incidence.powi(2) + floor + f64::from(surface.variance());
-            // Geman and McClure's kernel.
+            let incidence = normal.dot(&(rotation(&view_from_sensed) * point)) / point.norm();
+            let variance = incidence.powi(2) + kernel_variance + f64::from(surface.variance());
+            // Kernel of Geman and McClure.
             let limit = variance * (KERNEL_SIGMAS * noise).powi(2);
-            let across = normal.dot(&(turn(&view_from_sensed) * chord));
-            let weight = (limit / (limit + error.powi(2) + across.powi(2))).powi(2) / variance * credits[i];
+            let across = normal.dot(&(rotation(&view_from_sensed) * chord));
+            let weight = (limit / (limit + error.powi(2) + across.powi(2))).powi(2) / variance * weights[i];
             let is_inlier = f64::from(u8::from(error.powi(2) < limit));
             all.is_ambiguous |= (error.powi(2) / limit - 1.0).abs() < PRECISION;
             all.distances[i] = all.distances[i].min(error.abs());
             (pairs, inliers) = (pairs + 1.0, inliers + is_inlier);
-            // The same line in the reference frame.
-            let line = turn(reference_from_view) * normal;
+            // The line in the reference frame.
+            let line = rotation(reference_from_view) * normal;
             all.form.add_line(point, line, f64::from(surface.offset()) + line.dot(&reference_from_view.translation()), weight);
-            let turn_variance = f32::from_bits(surface.variance().to_bits() << 16);
+            let direction_variance = f32::from_bits(surface.variance().to_bits() << 16);
             let mut add = |sum: Sum, term: f64| all.totals.0[sum as usize] += term;
             add(Sum::Squares, weight * error.powi(2));
             add(Sum::Expected, weight * variance);
             add(Sum::Weights, weight);
-            add(Sum::Feigned, weight * f64::from(turn_variance));
+            add(Sum::SpuriousInformation, weight * f64::from(direction_variance));
             add(Sum::Excess, weight / variance * ((error / noise).powi(2) - variance));
             add(Sum::ExcessWeights, weight / variance);
             add(Sum::Residuals, is_inlier * error.abs());
-            add(Sum::Pairs, 1.0);
+            add(Sum::Correspondences, 1.0);
             add(Sum::Inliers, is_inlier);
         }
         let confirmed: f64 = if pairs > 0.0 { inliers / pairs } else { 1.0 };
-        all.credits.push(if views.len() > 1 { confirmed.max(0.02).sqrt() } else { 1.0 });
+        all.weights.push(if views.len() > 1 { confirmed.max(0.02).sqrt() } else { 1.0 });
     }
-    let views_per_ray = (all.totals.of(Sum::Pairs) / sensed.len() as f64).max(1.0);
+    let views_per_ray = (all.totals.of(Sum::Correspondences) / sensed.len() as f64).max(1.0);
     all.form = all.form.scaled(1.0 / views_per_ray);
-    let most = if floor > MOST_FLOOR { (GENTLEST * floor).max(MOST_FLOOR) } else { floor };
-    let shown = floor + all.totals.of(Sum::Excess) / all.totals.of(Sum::ExcessWeights).max(f64::MIN_POSITIVE);
-    all.floor = shown.max(STEEPEST * floor).max(LEAST_FLOOR).min(most);
+    let upper = if kernel_variance > MAX_SURFACE_VARIANCE {
+        (MAX_SHRINK * kernel_variance).max(MAX_SURFACE_VARIANCE)
+    } else {
+        kernel_variance
+    };
+    let observed = kernel_variance + all.totals.of(Sum::Excess) / all.totals.of(Sum::ExcessWeights).max(f64::MIN_POSITIVE);
+    all.kernel_variance = observed.max(MIN_SHRINK * kernel_variance).max(MIN_KERNEL_VARIANCE).min(upper);
     all
 }
 
-fn turn(pose: &Pose2) -> Matrix2<f64> {
+fn rotation(pose: &Pose2) -> Matrix2<f64> {
     let (sin, cos) = pose.theta.sin_cos();
     Matrix2::new(cos, -sin, sin, cos)
 }
 
-/// A room with corners at `(left, back)` and `(right, front)`, m.
+/// A rectangular room with corners at `(left, back)` and `(right, front)`, m.
 #[derive(Clone, Debug)]
 struct Room {
     walls: [f64; 4],
 }
 
 impl Room {
-    /// What a laser sees at a pose, each range `off` by its own amount, m.
+    /// Scan from a pose. `off`: error of each range, m.
     fn scan(&self, pose: &Pose2, off: &[f64]) -> Scan {
         let [left, right, back, front] = self.walls;
         let beams = BeamGeometry::new(-0.5 * BEAMS.1 * (BEAMS.0 - 1) as f64, BEAMS.1, BEAMS.0);
@@ -112,21 +117,24 @@ impl Room {
     }
 }
 
-/// The scan without rays that end between two beams of a view: there rounding decides which of them they are paired with.
+/// The scan without the rays that end midway between two beams of a view: there, rounding decides which beam they are paired
+/// with.
 fn unambiguous(scan: &Scan, views: &[PlacedView], poses: &[Pose2]) -> Scan {
-    let is_clear = |bearings: &Bearings, point: &Point| {
+    let is_unambiguous = |bearings: &Bearings, point: &Point| {
         let beam = |by: f64| bearings.beam(&Pose2::new(0.0, 0.0, by).transform().apply(*point));
         beam(0.02 * BEAMS.1) == beam(-0.02 * BEAMS.1)
     };
-    let ends_clearly = |point: &Point| {
+    let is_unambiguous_in_all = |point: &Point| {
         views.iter().all(|placed| {
             let bearings = placed.view.bearings();
-            poses.iter().all(|pose| is_clear(&bearings, &placed.reference_from_view.between(pose).transform().apply(*point)))
+            poses
+                .iter()
+                .all(|pose| is_unambiguous(&bearings, &placed.reference_from_view.between(pose).transform().apply(*point)))
         })
     };
     let mut ranges = vec![f64::NAN; scan.len()];
     for (ray, direction, range) in scan.rays() {
-        if ends_clearly(&(direction * range)) {
+        if is_unambiguous_in_all(&(direction * range)) {
             ranges[ray] = range;
         }
     }
@@ -137,25 +145,25 @@ fn pose(distance: f64, angle: f64) -> impl Strategy<Value = Pose2> {
     (-distance..distance, -distance..distance, -angle..angle).prop_map(|(x, y, theta)| Pose2::new(x, y, theta))
 }
 
-/// Errors of ranges, m; of some, which end on what has moved, great ones.
+/// Range errors, m: mostly small ones, some large ones as from objects that have moved, and missing measurements.
 fn errors() -> impl Strategy<Value = Vec<f64>> {
     proptest::collection::vec(prop_oneof![8 => -0.02..0.02, 1 => -1.0..1.0, 1 => Just(f64::NAN)], BEAMS.0)
 }
 
 fn assert_near(name: &str, fast: f64, plain: f64, scale: f64) -> Result<(), TestCaseError> {
-    prop_assert!((fast - plain).abs() <= PRECISION * (plain.abs() + scale), "{name}: {fast}, specified {plain}");
+    prop_assert!((fast - plain).abs() <= PRECISION * (plain.abs() + scale), "{name}: {fast}, reference {plain}");
     Ok(())
 }
 
-fn assert_meets(fast: &Projective, plain: &Specified, pose: &Pose2) -> Result<(), TestCaseError> {
+fn assert_same_results(fast: &Projective, plain: &ReferenceResult, pose: &Pose2) -> Result<(), TestCaseError> {
     let (a, b) = (&fast.totals, &plain.totals);
     let expected = b.of(Sum::Expected);
     for (sum, scale) in [
-        (Sum::Pairs, 0.0),
+        (Sum::Correspondences, 0.0),
         (Sum::Inliers, 0.0),
         (Sum::Squares, 1e-6 * expected),
         (Sum::Expected, 0.0),
-        (Sum::Feigned, 0.0),
+        (Sum::SpuriousInformation, 0.0),
         (Sum::Weights, 0.0),
         (Sum::Excess, b.of(Sum::ExcessWeights)),
         (Sum::ExcessWeights, 0.0),
@@ -163,15 +171,15 @@ fn assert_meets(fast: &Projective, plain: &Specified, pose: &Pose2) -> Result<()
     ] {
         assert_near(&format!("{sum:?}"), a.of(sum), b.of(sum), scale)?;
     }
-    assert_near("floor", fast.floor, plain.floor, 1.0)?;
+    assert_near("kernel variance", fast.kernel_variance, plain.kernel_variance, 1.0)?;
     let ((gradient, information), (gradient_b, information_b)) = (fast.form.linearize(pose), plain.form.linearize(pose));
     prop_assert!((information - information_b).norm() <= PRECISION * information_b.norm(), "{information}{information_b}");
     let scale = gradient_b.norm() + 1e-3 * information_b.norm();
     prop_assert!((gradient - gradient_b).norm() <= PRECISION * scale, "{gradient}{gradient_b}");
     assert_near("value", fast.form.value(pose), plain.form.value(pose), 1e-6 * expected)?;
-    let distances = fast.verdicts.iter().flat_map(|verdict| verdict.nearest).map(f64::from);
+    let distances = fast.consistency.iter().flat_map(|consistency| consistency.nearest).map(f64::from);
     for (fast, &plain) in distances.zip(&plain.distances) {
-        prop_assert!(fast.to_bits() == plain.to_bits() || (fast - plain).abs() < 1e-5, "{fast}, specified {plain}");
+        prop_assert!(fast.to_bits() == plain.to_bits() || (fast - plain).abs() < 1e-5, "{fast}, reference {plain}");
     }
     Ok(())
 }
@@ -180,7 +188,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
     #[test]
-    fn the_kernel_computes_what_is_specified(
+    fn the_simd_kernel_agrees_with_the_reference_implementation(
         walls in [-6.0..-1.5, 1.5..6.0, -6.0..-1.5, 1.5..6.0],
         second in pose(0.8, 0.5),
         (views, rays) in (1..3_usize, prop_oneof![Just(BEAMS.0), 5..BEAMS.0]),
@@ -199,19 +207,19 @@ proptest! {
         prop_assume!(scan.valid_len() > 0);
         fast.set_views(&views);
         fast.begin(&poses[0].into());
-        fast.sense(&scan);
-        fast.choose_rays(RayOrder::first(rays, scan.valid_len()));
+        fast.set_sensed(&scan);
+        fast.select_rays(RayOrder::first(rays, scan.valid_len()));
         let in_double = |of: [f32; 2]| Point::from(of.map(f64::from));
         let lanes = |of: &[[f32; LANES]; 2]| -> [Point; LANES] { std::array::from_fn(|lane| in_double(of.map(|axis| axis[lane]))) };
         let of_block = |block: &Block| lanes(&block.point).into_iter().zip(lanes(&block.chord));
-        let rays: Vec<(Point, Point)> = fast.chosen.blocks.iter().flat_map(of_block).take(fast.chosen.len).collect();
-        let mut credits = vec![1.0; rays.len()];
+        let rays: Vec<(Point, Point)> = fast.selected.blocks.iter().flat_map(of_block).take(fast.selected.len).collect();
+        let mut weights = vec![1.0; rays.len()];
         for pose in &poses {
-            let plain = specified(&views, &rays, pose, noise, fast.floor, &credits);
+            let plain = reference_correspondences(&views, &rays, pose, noise, fast.kernel_variance, &weights);
             prop_assume!(!plain.is_ambiguous);
-            prop_assert!(fast.pair(pose, Metric::PointToLine).is_some());
-            assert_meets(&fast, &plain, pose)?;
-            credits = plain.credits;
+            prop_assert!(fast.find_correspondences(pose, Metric::PointToLine).is_some());
+            assert_same_results(&fast, &plain, pose)?;
+            weights = plain.weights;
         }
     }
 }

@@ -1,40 +1,42 @@
-//! What is summed over pairs.
+//! Sums over correspondences.
 
 use std::ops::AddAssign;
 
 use crate::geometry::Pose2;
 use crate::matching::solver::QuadraticForm;
 
-/// What is summed over the pairs with a view, by name of the place in [`Sums`].
+/// The quantities summed over the correspondences with a view, as indices into [`Sums`]. `w` is the weight, `a` the derivative of
+/// the error `e` by the pose, `v` the variance.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Sum {
-    /// `w a a'`: upper triangle, row by row, ten of them.
+    /// `w a a'`: upper triangle, row by row, ten values.
     Matrix = 0,
-    /// `w a e`, four of them.
+    /// `w a e`, four values.
     Gradient = 10,
     /// `w e^2`, m^2.
     Squares = 14,
-    /// `w v`: what `w e^2` would be were the noise 1 m.
+    /// `w v`: the expected value of `w e^2` if the range noise were 1 m.
     Expected,
-    /// `w` by the variance of the surface's direction.
-    Feigned,
+    /// `w` times the variance of the direction of the surface: the information that direction errors alone produce.
+    SpuriousInformation,
     /// `w`.
     Weights,
-    /// `w e^2 / v - w`, by how much the floor is too low, weighed.
+    /// `w e^2 / v - w`: weighted excess of the squared errors over the variance, by which the kernel variance is too low.
     Excess,
-    /// The weights of that.
+    /// Sum of the weights of [`Self::Excess`].
     ExcessWeights,
-    /// Absolute errors of the inliers, m.
+    /// Sum of the absolute errors of the inliers, m.
     Residuals,
-    /// Inliers.
+    /// Number of inliers.
     Inliers,
-    /// Pairs.
-    Pairs,
+    /// Number of correspondences.
+    Correspondences,
     /// Number of sums.
     Count,
 }
 
-/// Sums over pairs, by place. Matrix and gradient are those of one view, in its frame; of several together they mean nothing.
+/// The sums, indexed by [`Sum`]. Matrix and gradient are in the frame of one view: added over several views, they are
+/// meaningless.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sums(pub(super) [f64; Sum::Count as usize]);
 
@@ -43,11 +45,11 @@ impl Sums {
         self.0[sum as usize]
     }
 
-    /// The weighed squared errors as a function of the pose in the view's frame.
+    /// The weighted squared errors as a function of the pose in the frame of the view.
     pub(super) fn form(&self, view_from_sensed: &Pose2) -> QuadraticForm {
         let matrix = std::array::from_fn(|i| self.0[Sum::Matrix as usize + i]);
         let gradient = std::array::from_fn(|i| self.0[Sum::Gradient as usize + i]);
-        QuadraticForm::about(view_from_sensed, &matrix, &gradient, self.of(Sum::Squares))
+        QuadraticForm::from_sums(view_from_sensed, &matrix, &gradient, self.of(Sum::Squares))
     }
 }
 

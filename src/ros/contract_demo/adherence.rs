@@ -1,4 +1,4 @@
-//! Statistics of how the contract was kept.
+//! Statistics of how well the contract was kept.
 
 use std::fmt::{self, Write as _};
 use std::time::Duration;
@@ -6,22 +6,23 @@ use std::time::Duration;
 use crate::messages::own::MatchReport;
 use crate::quantile;
 
-/// Answers whose edge has come and whose report has not, or the other way round: more than these are not on their way any more.
+/// Maximum number of answers of which only the edge or only the report has arrived so far. A larger difference means lost
+/// messages.
 const IN_FLIGHT: i64 = 2;
 
-/// What has been counted.
+/// Counts of edges and reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Tally {
     edges: u64,
     reports: u64,
-    /// Reports with a time budget in force ...
+    /// Reports with a time budget.
     budgeted: u64,
-    /// ... and of these, the ones that missed it.
+    /// Reports that missed their time budget.
     late: u64,
     worst_overrun: Duration,
-    /// Reports with an error bound in force ...
+    /// Reports with an error bound.
     bounded: u64,
-    /// ... and of these, the ones that kept it.
+    /// Reports that kept their error bounds.
     bounds_kept: u64,
 }
 
@@ -41,9 +42,9 @@ impl Tally {
 
 impl fmt::Display for Tally {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let share = 100.0 * self.late as f64 / self.budgeted.max(1) as f64;
+        let percentage = 100.0 * self.late as f64 / self.budgeted.max(1) as f64;
         let overrun = milliseconds(self.worst_overrun);
-        write!(f, "{} scans, {} reports, {} late ({share:.2} %)", self.edges, self.reports, self.late)?;
+        write!(f, "{} scans, {} reports, {} late ({percentage:.2} %)", self.edges, self.reports, self.late)?;
         write!(f, ", worst overrun {overrun:.2} ms")?;
         if self.bounded > 0 {
             write!(f, ", error bounds kept by {} of {}", self.bounds_kept, self.bounded)?;
@@ -52,7 +53,7 @@ impl fmt::Display for Tally {
     }
 }
 
-/// Takes edges and reports, and sums up.
+/// Collects edges and reports, and summarizes them.
 #[derive(Default)]
 pub(super) struct Adherence {
     total: Tally,
@@ -60,34 +61,34 @@ pub(super) struct Adherence {
     elapsed: Vec<Duration>,
     budgets: Duration,
     state: Option<i32>,
-    /// Edges ahead of reports at the beginning: the two topics are not connected at the same moment.
-    ahead: Option<i64>,
+    /// Surplus of edges over reports at the last check. It is not zero at first, since the two topics connect at different times.
+    surplus: Option<i64>,
 }
 
 impl Adherence {
-    /// A message of `icp_state`: an edge when it is not the value of the one before.
+    /// Handles a message of `icp_state`. A change of the value is an edge.
     pub(super) fn on_state(&mut self, value: i32) {
         if self.state.replace(value) != Some(value) {
             self.each(|tally| tally.edges += 1);
         }
-        self.note_beginning();
+        self.set_initial_surplus();
     }
 
-    /// A message of `icp_report`.
+    /// Handles a message of `icp_report`.
     pub(super) fn on_report(&mut self, report: &MatchReport) {
         self.each(|tally| tally.add(report));
         self.elapsed.push(report.elapsed.span());
         self.budgets += report.time_budget.span();
-        self.note_beginning();
+        self.set_initial_surplus();
     }
 
-    /// Everything so far.
+    /// The counts since the start.
     pub(super) fn total(&self) -> Tally {
         self.total
     }
 
-    /// The line about the time since the last one, and a new beginning.
-    pub(super) fn sum_up(&mut self) -> String {
+    /// Returns a summary of the current period, and starts a new one.
+    pub(super) fn summarize(&mut self) -> String {
         let period = std::mem::take(&mut self.period);
         let (mut elapsed, budgets) = (std::mem::take(&mut self.elapsed), std::mem::take(&mut self.budgets));
         elapsed.sort_unstable();
@@ -98,19 +99,19 @@ impl Adherence {
             let _ = write!(line, "; elapsed mean {:.2} ms, p99 {p99:.2} ms", mean(elapsed.iter().sum(), period.reports));
         }
         if period.budgeted > 0 {
-            let _ = write!(line, ", of {:.2} ms allowed on average", mean(budgets, period.budgeted));
+            let _ = write!(line, ", mean budget {:.2} ms", mean(budgets, period.budgeted));
         }
         line
     }
 
-    /// What is wrong if edges and reports have drawn apart since the last look by more than is on its way.
-    pub(super) fn disagreement(&mut self) -> Option<String> {
-        let (before, now) = (self.ahead?, self.edges_ahead());
-        let apart = now - before;
-        (apart.abs() > IN_FLIGHT).then(|| {
-            self.ahead = Some(now);
-            let more = if apart > 0 { "edges of icp_state than reports" } else { "reports than edges of icp_state" };
-            format!("{} more {more}: messages were lost", apart.abs())
+    /// Returns a warning if the numbers of edges and reports have diverged since the last check, that is, if messages were lost.
+    pub(super) fn lost_messages(&mut self) -> Option<String> {
+        let (before, now) = (self.surplus?, self.edge_surplus());
+        let difference = now - before;
+        (difference.abs() > IN_FLIGHT).then(|| {
+            self.surplus = Some(now);
+            let more = if difference > 0 { "edges of icp_state than reports" } else { "reports than edges of icp_state" };
+            format!("{} more {more}: messages were lost", difference.abs())
         })
     }
 
@@ -119,13 +120,13 @@ impl Adherence {
         change(&mut self.period);
     }
 
-    fn note_beginning(&mut self) {
-        if self.ahead.is_none() && self.total.edges > 0 && self.total.reports > 0 {
-            self.ahead = Some(self.edges_ahead());
+    fn set_initial_surplus(&mut self) {
+        if self.surplus.is_none() && self.total.edges > 0 && self.total.reports > 0 {
+            self.surplus = Some(self.edge_surplus());
         }
     }
 
-    fn edges_ahead(&self) -> i64 {
+    fn edge_surplus(&self) -> i64 {
         self.total.edges.cast_signed() - self.total.reports.cast_signed()
     }
 }
@@ -151,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_period_is_summed_up_and_the_next_one_begins_empty() {
+    fn a_period_is_summarized_and_the_next_one_starts_empty() {
         let mut adherence = Adherence::default();
         for (elapsed, budget) in [(2, 4), (6, 4), (3, 4), (9, 0)] {
             adherence.on_report(&report(elapsed, budget));
@@ -159,18 +160,17 @@ mod tests {
         for value in [1, 0, 1, 1, 0] {
             adherence.on_state(value);
         }
-        let line = adherence.sum_up();
+        let line = adherence.summarize();
         assert_eq!(
             line,
-            "4 scans, 4 reports, 1 late (33.33 %), worst overrun 2.00 ms; elapsed mean 5.00 ms, p99 9.00 ms, of 4.00 ms allowed on \
-             average"
+            "4 scans, 4 reports, 1 late (33.33 %), worst overrun 2.00 ms; elapsed mean 5.00 ms, p99 9.00 ms, mean budget 4.00 ms"
         );
-        assert_eq!(adherence.sum_up(), "0 scans, 0 reports, 0 late (0.00 %), worst overrun 0.00 ms");
+        assert_eq!(adherence.summarize(), "0 scans, 0 reports, 0 late (0.00 %), worst overrun 0.00 ms");
         assert_eq!((adherence.total().edges, adherence.total().late), (4, 1));
     }
 
     #[test]
-    fn error_bounds_count_only_where_there_are_some() {
+    fn only_reports_with_error_bounds_are_counted_for_them() {
         let mut adherence = Adherence::default();
         let bounded = |excess| MatchReport { translation_error_bound: 0.01, translation_error_excess: excess, ..report(1, 2) };
         for report in [report(1, 2), bounded(0.0), bounded(0.002), bounded(f64::INFINITY)] {
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn edges_and_reports_that_draw_apart_are_told_once() {
+    fn diverging_edges_and_reports_are_reported_once() {
         let mut adherence = Adherence::default();
         let edges = |adherence: &mut Adherence, from: i32, count: i32| {
             (from..from + count).for_each(|number| adherence.on_state(number % 2));
@@ -188,11 +188,11 @@ mod tests {
         edges(&mut adherence, 1, 5); // before reports are connected
         adherence.on_report(&report(1, 2));
         edges(&mut adherence, 6, 2);
-        assert_eq!(adherence.disagreement(), None, "in flight");
+        assert_eq!(adherence.lost_messages(), None, "in flight");
         edges(&mut adherence, 8, 1);
-        assert!(adherence.disagreement().unwrap().starts_with("3 more edges"));
-        assert_eq!(adherence.disagreement(), None);
+        assert!(adherence.lost_messages().unwrap().starts_with("3 more edges"));
+        assert_eq!(adherence.lost_messages(), None);
         (0..4).for_each(|_| adherence.on_report(&report(1, 2)));
-        assert!(adherence.disagreement().unwrap().starts_with("4 more reports"));
+        assert!(adherence.lost_messages().unwrap().starts_with("4 more reports"));
     }
 }

@@ -1,4 +1,4 @@
-//! What the controller does.
+//! The algorithm of the demo controller.
 
 use std::convert::Infallible;
 use std::fs::File;
@@ -9,7 +9,7 @@ use rosrust::api::Ros;
 
 use super::ContractDemoKnobs;
 use super::adherence::Adherence;
-use super::asking::Asking;
+use super::contract_chooser::ContractChooser;
 use super::row::Row;
 use super::schedule::Schedule;
 use crate::anytime::clock::Clock;
@@ -25,17 +25,17 @@ use crate::ros::input::Input;
 use crate::ros::output::Output;
 use crate::ros::worker::Algorithm;
 
-/// The controller.
+/// The demo controller: it sends contracts and checks the reports.
 pub(super) struct Controller {
     clock: Arc<dyn Clock>,
     contracts: Output<own::Contract>,
-    asking: Asking,
+    chooser: ContractChooser,
     schedule: Schedule,
-    /// Of the last message, m/s.
+    /// Speed in the last odometry message, m/s.
     speed: f64,
     adherence: Adherence,
     csv: Option<CsvFile<File, Row>>,
-    /// Reading of the clock when the last line was logged.
+    /// Time of the last line in the log.
     logged: Duration,
 }
 
@@ -44,7 +44,7 @@ impl Controller {
         Ok(Self {
             clock: Arc::clone(clock),
             contracts: Output::new(ros, "icp_contract")?,
-            asking: Asking::new(policy, knobs)?,
+            chooser: ContractChooser::new(policy, knobs)?,
             schedule: Schedule::default(),
             speed: 0.0,
             adherence: Adherence::default(),
@@ -53,7 +53,7 @@ impl Controller {
         })
     }
 
-    /// The topics it reads.
+    /// The topics it subscribes to.
     pub(super) fn inputs() -> Vec<Input<Self>> {
         vec![
             Input::of("icp/odom", Self::on_odometry),
@@ -64,7 +64,7 @@ impl Controller {
             Input::with_context("icp_report", |controller: &mut Self, message, _, context| {
                 controller.on_report(message, context)
             })
-            .vital(),
+            .required(),
         ]
     }
 
@@ -72,11 +72,11 @@ impl Controller {
         let velocity = &message.twist.twist.linear;
         let speed = velocity.x.hypot(velocity.y);
         if !speed.is_finite() {
-            return Err("the velocity has numbers that are not finite");
+            return Err("the velocity is not finite");
         }
         self.speed = speed;
-        self.asking.on_stamp(message.header.stamp.into());
-        let contract = self.asking.contract(speed);
+        self.chooser.on_stamp(message.header.stamp.into());
+        let contract = self.chooser.contract(speed);
         if self.schedule.is_due(contract, self.clock.now()) {
             self.contracts.send(|| contract_message(&contract, &message.header));
         }
@@ -86,51 +86,51 @@ impl Controller {
     fn on_report(&mut self, report: &MatchReport, context: &mut Context) -> Result<(), ContractError> {
         let in_force = Contract::new(report.time_budget.seconds(), report.translation_error_bound, report.rotation_error_bound)?;
         self.schedule.observe(in_force);
-        self.asking.set_familiar(report.outside_profile.is_empty());
+        self.chooser.set_profile_valid(report.outside_profile.is_empty());
         self.adherence.on_report(report);
         let row = Row { report: report.clone(), speed: self.speed };
         if let Some(Err(problem)) = self.csv.as_mut().map(|csv| csv.write(&row)) {
-            context.reader.warn("csv", &format!("a row is lost: {problem}"));
+            context.reader.warn("csv", &format!("cannot write a row: {problem}"));
         }
         Ok(())
     }
 }
 
 impl Algorithm for Controller {
-    /// Says how the contract is kept.
-    fn carry_on(&mut self, context: &mut Context) {
+    /// Logs how well the contract is kept.
+    fn on_timer(&mut self, context: &mut Context) {
         let now = self.clock.now();
         let time = now.saturating_sub(std::mem::replace(&mut self.logged, now));
-        let budget = self.asking.contract(self.speed).time_budget.map_or_else(|| "none".into(), |time| format!("{time:.2?}"));
-        let line = self.adherence.sum_up();
-        context.shared.log.info(&format!("{:.2} m/s, budget {budget}; in {time:.1?}: {line}", self.speed));
-        if let Some(problem) = self.adherence.disagreement() {
+        let budget = self.chooser.contract(self.speed).time_budget.map_or_else(|| "none".into(), |time| format!("{time:.2?}"));
+        let line = self.adherence.summarize();
+        context.shared.log.info(&format!("speed {:.2} m/s, time budget {budget}; last {time:.1?}: {line}", self.speed));
+        if let Some(problem) = self.adherence.lost_messages() {
             context.shared.log.warn(&problem);
         }
     }
 
     fn end(&mut self, context: &Context) {
-        context.shared.log.info(&format!("in all: {}", self.adherence.total()));
+        context.shared.log.info(&format!("total: {}", self.adherence.total()));
     }
 }
 
-/// What it will do.
-pub(super) fn in_words(policy: &Policy) -> String {
+/// Describes the policy for the log.
+pub(super) fn describe(policy: &Policy) -> String {
     match policy {
         Policy::BySpeed(rule) => {
-            format!("gives scans {:?} at rest and {:?} at {} m/s and beyond", rule.slow, rule.fast, rule.speed_fast)
+            format!("time budget {:?} at rest, falling to {:?} at {} m/s and above", rule.slow, rule.fast, rule.speed_fast)
         }
-        policy => format!("gives scans contracts by the policy {policy}"),
+        policy => format!("contracts by the policy {policy}"),
     }
 }
 
-/// Makes the CSV file anew; it is whole after every row.
+/// Creates or truncates the CSV file. It is flushed after every row.
 fn create(path: &str) -> Result<CsvFile<File, Row>, NodeError> {
     let file = File::create(path).map_err(csv::Error::from).and_then(|file| CsvFile::new(file, Row::COLUMNS));
     file.map_err(|error| NodeError::Csv { problem: format!("{path}: {error}") })
 }
 
-/// With the header of the odometry that it follows from.
+/// The message of a contract, with the stamp of the odometry message that it results from.
 fn contract_message(contract: &Contract, header: &Header) -> own::Contract {
     own::Contract { header: Header { frame_id: String::new(), ..header.clone() }, ..contract.into() }
 }

@@ -1,5 +1,5 @@
-//! A controller that shows the time contract at work: it asks for what a policy of [`crate::control::policy`] says, by default the less
-//! time for a scan the faster the robot, and watches how the matcher keeps to that.
+//! A demo controller for the time contract: it requests the contracts of a policy of [`crate::control::policy`] (by default, a
+//! shorter time budget the faster the robot drives), and monitors how well the matcher keeps them.
 //!
 //! ```text
 //!  icp/odom ---> speed ---> policy ---> schedule ---> icp_contract
@@ -7,7 +7,7 @@
 //! ```
 
 mod adherence;
-mod asking;
+mod contract_chooser;
 mod controller;
 mod row;
 mod schedule;
@@ -27,48 +27,49 @@ use crate::knobs::Seconds;
 const NAME: &str = "contract_demo";
 
 crate::knobs! {
-    /// What the controller asks for, and what it writes down.
+    /// Contracts to request, and what to record.
     pub struct ContractDemoKnobs {
-        /// How contracts are chosen, as `anytime drive --policy` has it: `completion`, `fixed:TIME[,METRES]`, `by_speed:TIME,TIME,SPEED`, `table`;
-        /// unset: by speed, as the next three say.
+        /// Policy that chooses the contracts, as in `anytime drive --policy`: `completion`, `fixed:TIME[,METRES]`,
+        /// `by_speed:TIME,TIME,SPEED`, `table`; unset: by speed, with the next three parameters.
         policy: Option<String> = None;
         /// Time budget at rest.
         budget_slow: Seconds = Seconds(0.010), in 0.00001 to 60, unit "s";
-        /// Time budget at `speed_fast` and beyond; between rest and there it goes down evenly.
+        /// Time budget at `speed_fast` and above; it falls linearly in between.
         budget_fast: Seconds = Seconds(0.002), in 0.00001 to 60, unit "s";
-        /// The speed that calls for the shortest budget.
+        /// Speed from which on the budget is shortest.
         speed_fast: f64 = 4.0, in 0.01 to 100, unit "m/s";
-        /// The profile that the policy `table` goes by: a file of `anytime profile`.
+        /// Profile for the policy `table`: a file written by `anytime profile`.
         profile: Option<String> = None;
-        /// The variant of the profile.
+        /// Variant of the profile to use.
         variant: String = "projective+point_to_line".into();
-        /// Error of the position that is good enough; 0: no bound.
+        /// Bound on the position error at which matching may stop; 0: no bound.
         translation_error_bound: f64 = 0.0, in 0 to 100, unit "m";
-        /// Error of the heading that is good enough; 0: no bound.
+        /// Bound on the heading error at which matching may stop; 0: no bound.
         rotation_error_bound: f64 = 0.0, in 0 to 4, unit "rad";
-        /// Time between two lines about how the contract is kept.
+        /// Time between two log lines about how well the contract is kept.
         log_period: Seconds = Seconds(5.0), in 0.1 to 3600, unit "s";
-        /// File to write a row to for every report; unset: none.
+        /// CSV file with a row for every report; unset: none.
         csv: Option<String> = None;
     }
 }
 
-/// Runs the node `contract_demo` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
-/// parameters.
+/// Runs the node `contract_demo` until SIGINT, SIGTERM or the master ends it. The process arguments are those of ROS: remappings
+/// and private parameters.
 pub fn run() -> Result<(), NodeError> {
     node::run(NAME, serve)
 }
 
 fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError> {
     let knobs: ContractDemoKnobs = params::read_group(master, ros.name())?;
-    let policy = asking::policy(&knobs).map_err(|(parameter, problem)| params::refused(ros.name(), parameter, problem))?;
+    let policy =
+        contract_chooser::policy(&knobs).map_err(|(parameter, problem)| params::bad_value(ros.name(), parameter, problem))?;
     let parts = NodeParts::new(ros, master)?;
     let Shared { clock, log, .. } = parts.shared.clone();
-    let in_words = controller::in_words(&policy);
+    let description = controller::describe(&policy);
     let controller = Controller::new(ros, &clock, policy, &knobs)?;
     let period = Duration::from_secs_f64(knobs.log_period.0);
     let timer = Timer::new(period, clock.now() + period);
     let node = parts.build("controlling", controller, Controller::inputs(), Some(timer))?;
-    log.info(&in_words);
+    log.info(&description);
     node.run(stop, || ())
 }

@@ -1,10 +1,10 @@
-//! A row of the CSV file for every report.
+//! The rows of the CSV file.
 
 use crate::io::csv_file::{Column, microseconds};
 use crate::messages::own::MatchReport;
 use crate::time::Stamp;
 
-/// A report, and the speed at which it came, m/s.
+/// A report, and the speed at that time, m/s.
 pub(super) struct Row {
     pub(super) report: MatchReport,
     pub(super) speed: f64,

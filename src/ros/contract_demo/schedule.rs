@@ -1,17 +1,17 @@
-//! When a contract is worth a message.
+//! Decides when to send a contract.
 
 use std::time::Duration;
 
 use crate::anytime::contract::Contract;
 
-/// A budget that differs from the one sent by less than this share of it is the same.
-const SAME: f64 = 0.05;
-/// Contracts are at least this far apart.
+/// Minimum relative change of the time budget for which a new contract is sent.
+const MIN_CHANGE: f64 = 0.05;
+/// Minimum time between two contracts.
 const MIN_PERIOD: Duration = Duration::from_millis(100);
-/// If reports still show another contract after this time, ours was lost, or another node's came after it: it is sent again.
+/// A contract is sent again if reports still show another one after this time: it was lost, or another node has replaced it.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Keeps the matcher's contract near the one that is wanted, with few messages.
+/// Keeps the matcher's contract close to the wanted one with few messages.
 #[derive(Default)]
 pub(super) struct Schedule {
     sent: Option<(Contract, Duration)>,
@@ -19,12 +19,12 @@ pub(super) struct Schedule {
 }
 
 impl Schedule {
-    /// A report names the contract that was in force.
+    /// Records the contract in force, as a report gives it.
     pub(super) fn observe(&mut self, in_force: Contract) {
         self.in_force = Some(in_force);
     }
 
-    /// Whether to send `wanted` when the clock reads `now`. What is due is taken to be sent.
+    /// Whether to send `wanted` at the time `now`. If so, it is recorded as sent.
     pub(super) fn is_due(&mut self, wanted: Contract, now: Duration) -> bool {
         let due = self.sent.is_none_or(|(sent, at)| {
             let age = now.saturating_sub(at);
@@ -38,16 +38,17 @@ impl Schedule {
     }
 }
 
+/// Whether the time budgets differ noticeably.
 fn differ(sent: &Contract, wanted: &Contract) -> bool {
     let [sent, wanted] = [sent, wanted].map(|contract| contract.time_budget.unwrap_or_default().as_secs_f64());
-    (wanted - sent).abs() > SAME * sent
+    (wanted - sent).abs() > MIN_CHANGE * sent
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A budget, ms.
+    /// A contract with a time budget in ms.
     fn contract(milliseconds: f64) -> Contract {
         Contract { time_budget: Some(Duration::from_secs_f64(1e-3 * milliseconds)), ..Contract::default() }
     }
@@ -57,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn small_changes_and_hasty_ones_are_not_sent() {
+    fn small_changes_and_too_frequent_ones_are_not_sent() {
         let mut schedule = Schedule::default();
         assert!(schedule.is_due(contract(10.0), at(0)), "the first one");
         assert!(!schedule.is_due(contract(9.8), at(5000)), "2 % less");
@@ -67,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn a_contract_that_does_not_come_into_force_is_sent_again() {
+    fn a_contract_that_does_not_take_effect_is_sent_again() {
         let (wanted, mut schedule) = (contract(8.0), Schedule::default());
         assert!(schedule.is_due(wanted, at(0)));
         schedule.observe(Contract::default());

@@ -5,51 +5,60 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use super::feed::{Order, Place};
+use super::feed::{MapCommand, SharedMapFromOdom};
 use super::publishers::Publishers;
 use crate::anytime::clock::Clock;
 use crate::config::Config;
 use crate::io::map_files::{MapFiles, MapPaths};
 use crate::knobs::KnobValue as _;
-use crate::mapping::{EvidenceGrid, LiveMap, Sighting};
+use crate::mapping::{EvidenceGrid, LiveMap, PosedScan};
 use crate::ros::log::Log;
-use crate::ros::priority::give_way;
+use crate::ros::priority::lower_priority;
 use crate::ros::services::Reply;
 use crate::scan::{Scan, Sectors};
 use crate::time::Stamp;
 
-/// Least time from one published map to the next, ...
+/// Minimum time between two published maps.
 const PERIOD: Duration = Duration::from_secs(1);
-/// ... as a multiple of the time that making one takes, too: publishing is a twentieth of the work at most.
-const PERIODS_OF_WORK: u32 = 20;
-/// Scans drawn at once: some milliseconds.
-const PORTION: usize = 16;
-/// An incomplete map is published after this time at the latest.
+/// Minimum time between two published maps as a multiple of the time to make one: publishing takes at most a twentieth of the
+/// time.
+const PERIOD_FACTOR: u32 = 20;
+/// Number of scans added to the grid at once, which takes some milliseconds.
+const BATCH_SIZE: usize = 16;
+/// Maximum delay of a map that is being redrawn; after it the incomplete map is published.
 const MAX_DELAY: Duration = Duration::from_secs(5);
 
-/// Everything the mapping thread owns.
+/// Everything that the mapping thread owns.
 pub(super) struct MapMaker {
     config: Config,
     clock: Arc<dyn Clock>,
     log: Log,
     publishers: Publishers,
-    place: Place,
+    map_from_odom: SharedMapFromOdom,
     map: LiveMap,
-    /// Number of the odometry's run.
+    /// Number of the odometry run.
     run: u64,
-    /// Of the newest scan.
+    /// Stamp of the newest scan.
     stamp: Stamp,
-    /// Reading of the clock at which the next map may be published.
+    /// Earliest time at which the next map may be published.
     next: Duration,
-    /// The map has work left.
+    /// Whether the map has pending work.
     has_more: bool,
+    /// Whether the graph has changed since it was published.
     is_graph_new: bool,
-    self_hits_told: usize,
-    has_told_loop: bool,
+    /// Number of self-hit sectors that have been logged.
+    logged_self_hits: usize,
+    has_logged_loop: bool,
 }
 
 impl MapMaker {
-    pub(super) fn new(config: Config, clock: Arc<dyn Clock>, log: Log, publishers: Publishers, place: Place) -> Self {
+    pub(super) fn new(
+        config: Config,
+        clock: Arc<dyn Clock>,
+        log: Log,
+        publishers: Publishers,
+        map_from_odom: SharedMapFromOdom,
+    ) -> Self {
         let map = LiveMap::new(&config.matching, &config.rejection, config.mapping.resolution);
         let (run, stamp, next) = (0, Stamp::default(), Duration::ZERO);
         Self {
@@ -57,24 +66,24 @@ impl MapMaker {
             clock,
             log,
             publishers,
-            place,
+            map_from_odom,
             map,
             run,
             stamp,
             next,
             has_more: false,
             is_graph_new: false,
-            self_hits_told: 0,
-            has_told_loop: false,
+            logged_self_hits: 0,
+            has_logged_loop: false,
         }
     }
 
-    /// Works until it is told to end.
-    pub(super) fn run(mut self, orders: &Receiver<Order>) {
-        give_way();
-        while self.take_orders(orders) {
-            self.has_more = self.map.work(PORTION);
-            self.say_place();
+    /// Runs until a command ends it.
+    pub(super) fn run(mut self, commands: &Receiver<MapCommand>) {
+        lower_priority();
+        while self.run_commands(commands) {
+            self.has_more = self.map.work(BATCH_SIZE);
+            self.share_map_from_odom();
             self.publish();
         }
         if self.config.mapping.save_on_exit {
@@ -82,41 +91,41 @@ impl MapMaker {
         }
     }
 
-    /// Waits for orders, unless there is more to do anyway, and takes all there are; answers whether to go on.
-    fn take_orders(&mut self, orders: &Receiver<Order>) -> bool {
+    /// Waits for commands, unless there is pending work, and executes all of them. Returns `false` at the end.
+    fn run_commands(&mut self, commands: &Receiver<MapCommand>) -> bool {
         let left = self.next.saturating_sub(self.clock.now()).max(PERIOD / 10);
-        let mut next = orders.recv_timeout(if self.has_more { Duration::ZERO } else { left });
+        let mut next = commands.recv_timeout(if self.has_more { Duration::ZERO } else { left });
         loop {
             match next {
-                Ok(Order::Add(run, seen)) => self.add(run, *seen),
-                Ok(Order::Save(reply)) => drop(reply.send(self.save())), // who asked may be gone
-                Ok(Order::End) | Err(RecvTimeoutError::Disconnected) => return false,
+                Ok(MapCommand::Add(run, seen)) => self.add(run, *seen),
+                Ok(MapCommand::Save(reply)) => drop(reply.send(self.save())), // the caller may be gone
+                Ok(MapCommand::End) | Err(RecvTimeoutError::Disconnected) => return false,
                 Err(RecvTimeoutError::Timeout) => return true,
             }
-            next = orders.recv_timeout(Duration::ZERO);
+            next = commands.recv_timeout(Duration::ZERO);
         }
     }
 
-    fn add(&mut self, run: u64, (sighting, measured): (Sighting, Scan)) {
-        (self.run, self.stamp) = (run, sighting.scan.stamp());
-        self.is_graph_new |= self.map.add(sighting, &measured);
+    fn add(&mut self, run: u64, (posed_scan, measured): (PosedScan, Scan)) {
+        (self.run, self.stamp) = (run, posed_scan.scan.stamp());
+        self.is_graph_new |= self.map.add(posed_scan, &measured);
         let hits = self.map.self_hits();
-        if hits.len() > self.self_hits_told {
-            self.self_hits_told = hits.len();
+        if hits.len() > self.logged_self_hits {
+            self.logged_self_hits = hits.len();
             let sectors = Sectors(hits.to_vec()).to_value();
             self.log.warn(&format!(
-                "some rays see the robot itself: they are not drawn; to match without them, too, set the parameter scan/masked_sectors to \
-                 {sectors}"
+                "some rays hit the robot itself and are left out of the map; to exclude them from matching as well, set the \
+                 parameter scan/masked_sectors to {sectors}"
             ));
         }
     }
 
-    /// Tells the matching thread where the odometry's frame is on the map.
-    fn say_place(&self) {
-        *self.place.lock().unwrap_or_else(PoisonError::into_inner) = (self.run, self.map.map_from_odom());
+    /// Shares the pose of the odometry frame on the map with the matching thread.
+    fn share_map_from_odom(&self) {
+        *self.map_from_odom.lock().unwrap_or_else(PoisonError::into_inner) = (self.run, self.map.map_from_odom());
     }
 
-    /// A map that is being drawn anew is not shown half done, if it takes no longer than that.
+    /// Publishes graph and map when they are due. While the map is being redrawn, publishing waits for up to [`MAX_DELAY`].
     fn publish(&mut self) {
         let begun = self.clock.now();
         if begun < self.next || (self.has_more && begun < self.next + MAX_DELAY) {
@@ -124,7 +133,7 @@ impl MapMaker {
         }
         if std::mem::take(&mut self.is_graph_new) {
             self.publishers.publish_graph(self.map.mapper(), self.stamp);
-            self.tell_first_loop();
+            self.log_first_loop();
         }
         let grid = self.map.changed_grid().and_then(EvidenceGrid::to_map);
         match grid {
@@ -133,18 +142,18 @@ impl MapMaker {
             None => {}
         }
         let now = self.clock.now();
-        self.next = begun + PERIOD.max(PERIODS_OF_WORK * now.saturating_sub(begun));
+        self.next = begun + PERIOD.max(PERIOD_FACTOR * now.saturating_sub(begun));
     }
 
-    /// The first loop is news to whoever waits for one.
-    fn tell_first_loop(&mut self) {
-        if !self.has_told_loop && self.map.mapper().progress().loops > 0 {
-            self.has_told_loop = true;
-            self.log.info("the first loop is closed: the map is corrected by it, and by those to come");
+    /// Logs the first loop closure.
+    fn log_first_loop(&mut self) {
+        if !self.has_logged_loop && self.map.mapper().progress().loops > 0 {
+            self.has_logged_loop = true;
+            self.log.info("first loop closure: the map has been corrected (later ones are not logged)");
         }
     }
 
-    /// Saves the map; what comes of it is logged as well.
+    /// Saves the map and logs the outcome.
     fn save(&mut self) -> Reply {
         let reply = self.try_save();
         match &reply {
@@ -160,12 +169,14 @@ impl MapMaker {
         let shown = std::path::absolute(&paths.yaml).unwrap_or_else(|_| paths.yaml.clone());
         let failed = |problem: &dyn std::fmt::Display| {
             format!(
-                "the map is not saved: {problem} (parameters mapping/directory and mapping/name say where); it is kept, try again"
+                "the map is not saved: {problem}; it is still in memory: check mapping/directory and mapping/name, and try again"
             )
         };
         let mut files = MapFiles::create(paths).map_err(|problem| failed(&problem))?;
         self.map.settle();
-        let Some(map) = self.map.grid().to_map() else { return Err("the map is not saved: nothing has been seen yet".into()) };
+        let Some(map) = self.map.grid().to_map() else {
+            return Err("the map is not saved: it is empty, no scan has been added yet".into());
+        };
         let map = map.map_err(|problem| failed(&problem))?;
         files.write(&map, &self.map.mapper().to_bytes()).map_err(|problem| failed(&problem))?;
         files.commit().map_err(|problem| failed(&problem))?;

@@ -1,4 +1,4 @@
-//! Outputs of the map.
+//! The publishers of the map.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -15,13 +15,13 @@ use crate::ros::output::Output;
 use crate::ros::services::LastMap;
 use crate::time::Stamp;
 
-/// Every topic of the map.
+/// The publishers of all topics of the map.
 pub(super) struct Publishers {
     map: Output<nav_msgs::OccupancyGrid>,
     metadata: Output<nav_msgs::MapMetaData>,
     graph: Output<Marker>,
     frame: String,
-    /// The map published last, for the service.
+    /// The latest published map, for the service.
     last: LastMap,
 }
 
@@ -36,23 +36,23 @@ impl Publishers {
         })
     }
 
-    /// The map that was published last.
+    /// The latest published map.
     pub(super) fn last_map(&self) -> LastMap {
         Arc::clone(&self.last)
     }
 
-    /// The map as it was at a time.
+    /// Publishes the map of the time `stamp`.
     pub(super) fn publish_map(&self, grid: &OccupancyGrid, stamp: Stamp) {
         let mut message = map_message::message(grid, &self.frame);
         (message.header.stamp, message.info.map_load_time) = (stamp.into(), stamp.into());
-        self.metadata.keep(&message.info);
-        self.map.keep(&message);
+        self.metadata.send_always(&message.info);
+        self.map.send_always(&message);
         *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some(message);
     }
 
-    /// The graph, if anybody looks at it.
+    /// Publishes the graph if it is subscribed to.
     pub(super) fn publish_graph(&self, mapper: &Mapper, stamp: Stamp) {
-        if self.graph.has_listeners() {
+        if self.graph.has_subscribers() {
             for marker in convert::markers(mapper, stamp, &self.frame) {
                 self.graph.send(|| marker);
             }

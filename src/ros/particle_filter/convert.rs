@@ -1,7 +1,7 @@
-//! Beliefs as ROS messages.
+//! Conversion of estimates to ROS messages.
 
 use crate::app::localizer::Localizer;
-use crate::app::sensed::Sensed;
+use crate::app::sensed::SensorMessage;
 use crate::cloud;
 use crate::config::Config;
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
@@ -12,16 +12,16 @@ use crate::messages::std_msgs::Header;
 use crate::ros::convert::{covariance, transform};
 use crate::time::Stamp;
 
-/// Particles shown at most: people see no more.
-const SHOWN: usize = 1000;
+/// Maximum number of published particles, which are only for display.
+const MAX_SHOWN: usize = 1000;
 
-/// Its answers are not numbered.
+/// A header without a sequence number.
 pub(super) fn header(stamp: Stamp, frame: &str) -> Header {
     Header::new(0, stamp, frame)
 }
 
-/// Where the robot is at a time. How sure its velocity is, odometry knows, not the filter.
-pub(super) struct Placed<'a> {
+/// The pose of the robot at a time. The covariance of the velocity is unknown to the filter.
+pub(super) struct LocalizedPose<'a> {
     pub(super) stamp: Stamp,
     pub(super) map_from_base: Pose2,
     pub(super) covariance: PoseCovariance,
@@ -29,7 +29,7 @@ pub(super) struct Placed<'a> {
     pub(super) config: &'a Config,
 }
 
-impl Placed<'_> {
+impl LocalizedPose<'_> {
     fn header(&self) -> Header {
         header(self.stamp, &self.config.frames.map_frame)
     }
@@ -50,25 +50,25 @@ impl Placed<'_> {
         PoseStamped { header: self.header(), pose: self.map_from_base.into() }
     }
 
-    /// From the map to the frame of the odometry, which has the base at `odom_from_base`.
+    /// The transform from the map to the odometry frame; `odom_from_base` is the pose of the base in the latter.
     pub(super) fn transform(&self, odom_from_base: &Pose2) -> TransformStamped {
         transform(self.header(), &self.config.frames.odom_frame, self.map_from_base * odom_from_base.inverse())
     }
 }
 
-/// Some of the particles, each as likely as any other.
+/// A sample of the particles, which all have the same weight.
 pub(super) fn particles(localizer: &Localizer, stamp: Stamp) -> PoseArray {
     let all = localizer.filter().poses();
-    let step = all.len().div_ceil(SHOWN).max(1);
+    let step = all.len().div_ceil(MAX_SHOWN).max(1);
     let poses = all.step_by(step).map(Into::into).collect();
     PoseArray { header: header(stamp, &localizer.config().frames.map_frame), poses }
 }
 
-/// What the laser of `sensed` would have seen in the map; that of a cloud looks all round.
-pub(super) fn fake_scan(localizer: &Localizer, sensed: &Sensed, map_from_base: &Pose2) -> LaserScan {
+/// The scan that the laser of `sensed` should see on the map. For a point cloud it covers the full circle.
+pub(super) fn fake_scan(localizer: &Localizer, sensed: &SensorMessage, map_from_base: &Pose2) -> LaserScan {
     match sensed {
-        Sensed::Scan(scan) => expected_scan(localizer, scan, map_from_base),
-        Sensed::Cloud(cloud) => {
+        SensorMessage::Scan(scan) => expected_scan(localizer, scan, map_from_base),
+        SensorMessage::Cloud(cloud) => {
             let knobs = &localizer.config().cloud;
             expected_scan(localizer, &cloud::empty_scan(cloud, knobs), map_from_base)
         }

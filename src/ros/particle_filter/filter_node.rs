@@ -1,15 +1,15 @@
-//! The particle filter's work: drives the filter and publishes what it believes.
+//! The algorithm of the particle filter node: it passes messages to the filter and publishes its estimates.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::convert::Placed;
+use super::convert::LocalizedPose;
 use super::publishers::Publishers;
 use crate::anytime::interrupt::Interrupt;
 use crate::app::localizer::{Fix, Localizer, LocalizerError};
 use crate::app::map_message::{self, MapMessageError};
-use crate::app::sensed::Sensed;
-use crate::app::{Answering as _, InputError};
+use crate::app::sensed::SensorMessage;
+use crate::app::{InputError, ScanProcessor as _};
 use crate::config::Config;
 use crate::geometry::PoseCovariance;
 use crate::localization::estimate::Belief;
@@ -21,39 +21,41 @@ use crate::ros::context::Context;
 use crate::ros::diagnostics::{Sample, TRANSFORM_WITHHELD};
 use crate::ros::input::Input;
 use crate::ros::mailbox::{NextScan, Request};
-use crate::ros::priority::let_writers_go_first;
+use crate::ros::priority::yield_to_writers;
 use crate::ros::sink::RawMessage;
 use crate::ros::transform_output::ConflictingPublisher;
 use crate::ros::worker::Algorithm;
 use crate::time::Stamp;
 use crate::transforms::TransformTree;
 
-/// Who publishes the same transform for longer than this does not give way to this node.
+/// Time after which another publisher of the same transform is regarded as permanent, and this node yields to it.
 const CONFLICT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Conditions of this node.
-const NO_MAP: &str = "there is no map yet (parameter localization/map, or topic map)";
-const NOT_LOCALIZED: &str = "where the robot is, is not known";
+/// There is no map.
+const NO_MAP: &str = "there is no map yet: set the parameter localization/map, or publish a map on the topic map";
+/// The pose of the robot is unknown.
+const NOT_LOCALIZED: &str = "the robot is not localized";
 
-/// Everything the localizing thread owns.
+/// Everything that the localization thread owns.
 pub(super) struct FilterNode {
     config: Config,
-    /// The map of a file, until the work begins.
+    /// The map from a file, until the thread starts.
     file_map: Option<OccupancyGrid>,
-    /// Once there is a map.
+    /// The localizer, once there is a map.
     localizer: Option<Localizer>,
-    /// What came before it.
+    /// Transforms that arrived before the map.
     transforms: TransformTree,
+    /// Contract that arrived before the map.
     contract: Option<Contract>,
-    /// How sure the last pose was.
+    /// Covariance of the last pose.
     covariance: PoseCovariance,
     publishers: Publishers,
-    /// Since when another node says where the odometry's frame is, and when it last did.
+    /// First and latest time at which another node published the transform to the odometry frame.
     other: Option<(Duration, Duration)>,
 }
 
 impl FilterNode {
-    /// From the start on `file_map`, if there is one.
+    /// `file_map`: the map to start with, if there is one.
     pub(super) fn new(config: Config, publishers: Publishers, file_map: Option<OccupancyGrid>) -> Self {
         Self {
             config,
@@ -67,7 +69,8 @@ impl FilterNode {
         }
     }
 
-    /// The topics it reads: point clouds or scans. What needs the map is passed over before there is one.
+    /// The topics it subscribes to: point clouds or scans, and others. Messages that need the map are ignored before there is
+    /// one.
     pub(super) fn inputs(are_clouds: bool) -> Vec<Input<Self>> {
         vec![
             Input::scans(are_clouds),
@@ -84,7 +87,7 @@ impl FilterNode {
         ]
     }
 
-    /// Hands a message on; before there is a map it is not needed.
+    /// Passes a message to the localizer, or ignores it if there is no map yet.
     fn with_map(&mut self, take: impl FnOnce(&mut Localizer) -> Result<(), InputError>) -> Result<(), InputError> {
         self.localizer.as_mut().map_or(Ok(()), take)
     }
@@ -107,14 +110,14 @@ impl FilterNode {
     }
 
     fn on_transforms(&mut self, message: &TFMessage, raw: &RawMessage, context: &mut Context) -> Result<(), InputError> {
-        self.give_way(message, &raw.sender, context);
+        self.check_conflicts(message, &raw.sender, context);
         if self.localizer.is_none() {
             self.transforms.add(message);
         }
         self.with_map(|localizer| localizer.on_transforms(message))
     }
 
-    /// A map that comes again, as a latched one does, changes nothing.
+    /// Sets the map. A repeated map, such as a latched one, changes nothing.
     fn set_map(&mut self, map: OccupancyGrid, context: &mut Context) {
         if self.localizer.as_ref().is_some_and(|localizer| *localizer.filter().map() == map) {
             return;
@@ -122,18 +125,18 @@ impl FilterNode {
         let size = format!("{} x {} cells of {} m", map.width(), map.height(), map.resolution());
         let outcome = match &mut self.localizer {
             Some(localizer) => localizer.replace_map(map),
-            None => self.begin_on(map, context),
+            None => self.start_on(map, context),
         };
         match outcome {
             Ok(()) => {
                 context.shared.monitor.set_condition(NO_MAP, false);
-                context.shared.log.info(&format!("has a map of {size}"));
+                context.shared.log.info(&format!("using a map of {size}"));
             }
-            Err(error) => context.shared.log.error(&format!("the map of {size} is unusable: {error}")),
+            Err(error) => context.shared.log.error(&format!("the map of {size} is rejected: {error}")),
         }
     }
 
-    fn begin_on(&mut self, map: OccupancyGrid, context: &mut Context) -> Result<(), LocalizerError> {
+    fn start_on(&mut self, map: OccupancyGrid, context: &mut Context) -> Result<(), LocalizerError> {
         let mut localizer = Localizer::new(map, &self.config, Arc::clone(&context.shared.clock))?;
         localizer.set_interrupt(Arc::clone(&context.shared.interrupts) as Arc<dyn Interrupt>);
         localizer.warm_up();
@@ -141,32 +144,33 @@ impl FilterNode {
         if let Some(contract) = self.contract.take() {
             let outcome = localizer.on_contract(&contract);
             if let Err(problem) = outcome {
-                context.reader.refuse("icp_contract", "before the map", &problem);
+                context.reader.reject("icp_contract", "an unknown node (sent before the map)", &problem);
             }
         }
         self.localizer = Some(localizer);
         Ok(())
     }
 
-    /// To who goes on in spite of this node; a scan matcher gives way itself.
-    fn give_way(&mut self, message: &TFMessage, sender: &str, context: &Context) {
+    /// Yields to another publisher of the transform if it continues in spite of this node. A scan matcher would yield itself.
+    fn check_conflicts(&mut self, message: &TFMessage, sender: &str, context: &Context) {
         let odom_frame = &self.config.frames.odom_frame;
         let Some(other) = ConflictingPublisher::find(message, sender, odom_frame) else { return };
         let now = context.shared.clock.now();
-        let is_recent = |heard: Duration| now.saturating_sub(heard) <= CONFLICT_TIMEOUT;
+        let is_recent = |time: Duration| now.saturating_sub(time) <= CONFLICT_TIMEOUT;
         let since = self.other.filter(|(_, last)| is_recent(*last)).map_or(now, |(since, _)| since);
         self.other = Some((since, now));
         if !is_recent(since)
-            && let Some(warning) = self.publishers.transform().give_way(&other, odom_frame)
+            && let Some(warning) = self.publishers.transform().yield_to(&other, odom_frame)
         {
             context.shared.log.warn(&warning);
             context.shared.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
     }
 
-    fn watch(&self, fix: &Fix, context: &mut Context) {
+    /// Logs problems, and updates the diagnostics.
+    fn monitor(&self, fix: &Fix, context: &mut Context) {
         if let Some(localizer) = &self.localizer {
-            context.watch_mount(localizer.mount());
+            context.log_mount(localizer.mount());
         }
         context.shared.monitor.set_condition(NOT_LOCALIZED, !fix.belief.as_ref().is_ok_and(Belief::is_localized));
         let problem = fix.belief.as_ref().err().map(ToString::to_string);
@@ -178,11 +182,11 @@ impl FilterNode {
 }
 
 impl Algorithm for FilterNode {
-    // A scan is of most use with the odometry of its time, which comes on another connection.
-    const WAKES_AT_ONCE: bool = false;
+    // A scan should be processed with the odometry of the same time, which arrives on another connection.
+    const REAL_TIME_WAKEUP: bool = false;
 
     fn begin(&mut self, context: &mut Context) {
-        context.tell_priority();
+        context.log_priority();
         context.shared.monitor.set_condition(NO_MAP, true);
         if let Some(map) = self.file_map.take() {
             self.set_map(map, context);
@@ -191,9 +195,9 @@ impl Algorithm for FilterNode {
 
     fn request(&mut self, request: Request, context: &mut Context) {
         match (request, &mut self.localizer) {
-            (Request::Reset, Some(localizer)) => localizer.spread(),
+            (Request::Reset, Some(localizer)) => localizer.start_globally(),
             (Request::Reset, None) => context.shared.log.warn(NO_MAP),
-            (Request::SaveProfile | Request::Change(_), _) => {} // the scan matcher's alone
+            (Request::SaveProfile | Request::Change(_), _) => {} // only for the scan matcher
         }
     }
 
@@ -201,37 +205,37 @@ impl Algorithm for FilterNode {
         self.localizer.as_ref()?.wait_for_odometry(stamp)
     }
 
-    fn answer(&mut self, scan: &Sensed, arrival: Duration, context: &mut Context) {
+    fn answer(&mut self, scan: &SensorMessage, arrival: Duration, context: &mut Context) {
         let Some(localizer) = &mut self.localizer else { return context.reader.warn("scan", NO_MAP) };
-        context.urgency.set(localizer.contract().time_budget.is_some());
+        context.real_time.set(localizer.contract().time_budget.is_some());
         let (publishers, config, known) = (&mut self.publishers, &self.config, &mut self.covariance);
         let mut answered = localizer.answer(scan, arrival, |localizer, fix| {
             let Ok(Belief { map_from_base, covariance, .. }) = fix.belief else { return };
             *known = covariance;
-            let placed = Placed { stamp: fix.stamp, map_from_base, covariance, twist: localizer.twist(), config };
-            publishers.publish_pose(&placed, localizer.odom_from_base(fix.stamp), true);
+            let localized = LocalizedPose { stamp: fix.stamp, map_from_base, covariance, twist: localizer.twist(), config };
+            publishers.publish_pose(&localized, localizer.odom_from_base(fix.stamp), true);
         });
-        context.urgency.set(false);
-        let_writers_go_first();
+        context.real_time.set(false);
+        yield_to_writers();
         let (_, fix) = answered.parts();
         publishers.publish_report(fix, context.shared.mailbox.dropped().scans, &config.frames.map_frame);
-        let_writers_go_first();
+        yield_to_writers();
         let fix = answered.maintain(&NextScan(&context.shared.mailbox));
         if let Ok(belief) = &fix.belief {
             publishers.publish_display(localizer, scan, &belief.map_from_base);
         }
-        context.tell(localizer.take_remarks());
-        self.watch(&fix, context);
+        context.log_remarks(localizer.take_warnings());
+        self.monitor(&fix, context);
     }
 
-    /// Between scans: the last pose, moved on by the odometry that has come since.
-    fn carry_on(&mut self, _: &mut Context) {
+    /// Between scans, publishes the last pose, moved by the odometry since then.
+    fn on_timer(&mut self, _: &mut Context) {
         let Some(localizer) = &self.localizer else { return };
         let Some(stamp) = localizer.odometry_stamp() else { return };
-        if let Some(map_from_base) = localizer.carried_to(stamp) {
+        if let Some(map_from_base) = localizer.extrapolated_to(stamp) {
             let (covariance, twist) = (self.covariance, localizer.twist());
-            let placed = Placed { stamp, map_from_base, covariance, twist, config: &self.config };
-            self.publishers.publish_pose(&placed, None, false);
+            let localized = LocalizedPose { stamp, map_from_base, covariance, twist, config: &self.config };
+            self.publishers.publish_pose(&localized, None, false);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The particle filter as a node: where the robot is on a map.
+//! The particle filter node: localization on a map.
 //!
 //! ```text
 //!  reader threads               localizing thread             main thread
@@ -18,7 +18,7 @@ use rosrust::api::{Master, Ros};
 use self::filter_node::FilterNode;
 use self::map_server::MapServer;
 use self::publishers::Publishers;
-use super::diagnostics::Task;
+use super::diagnostics::TaskWording;
 use super::log::Log;
 use super::master::resolved;
 use super::node::{self, Node, NodeParts};
@@ -30,12 +30,12 @@ use crate::io::map_file;
 use crate::map::grid::OccupancyGrid;
 
 const NAME: &str = "particle_filter";
-/// The service that begins anew, and what it answers.
-const GLOBAL: (&str, &str) = ("~global_localization", "the robot may be anywhere on the map");
-const TASK: Task = Task { title: "localization", doing: "localizing", done: "used" };
+/// The service that starts global localization, and its reply.
+const GLOBAL: (&str, &str) = ("~global_localization", "global localization: the robot may be anywhere on the map");
+const TASK: TaskWording = TaskWording { title: "localization", doing: "localizing", done: "used" };
 
-/// Runs the node `particle_filter` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
-/// parameters.
+/// Runs the node `particle_filter` until SIGINT, SIGTERM or the master ends it. The process arguments are those of ROS:
+/// remappings and private parameters.
 pub fn run() -> Result<(), NodeError> {
     node::run(NAME, serve)
 }
@@ -62,14 +62,14 @@ fn build<'a>(ros: &Ros, mut parts: NodeParts<'a>, config: &Config) -> Result<Nod
     parts.build("localizing", node, FilterNode::inputs(config.cloud.input), timer)
 }
 
-/// The map of the file that the configuration names. An unusable one is logged only: the map may still come on the topic.
+/// Reads the map file that the configuration names. An error is only logged, since a map may still arrive on the topic.
 fn read_map_file(config: &Config, log: &Log) -> Option<OccupancyGrid> {
     let path = config.localization.map.as_deref()?;
     let map = map_file::read(Path::new(path));
     map.inspect_err(|error| log.error(&format!("{error}; waiting for a map on the topic map"))).ok()
 }
 
-/// Says that the node is ready, and what for.
+/// Logs that the node is ready, with its topics, frames and contract.
 fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
     let contract = Contract::try_from(&config.contract)?;
     let [scan, odometry, pose] =
@@ -77,7 +77,7 @@ fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
     let (frames, knobs) = (&config.frames, &config.localization);
     let period = knobs.update_period.0;
     log.info(&format!(
-        "localizes by {} and {} to {} ({} -> {}{}), {} particles, {}, {}",
+        "localizing with {} and {}; poses on {} ({} -> {}{}); {} particles, {}; contract: {}",
         scan?,
         odometry?,
         pose?,
@@ -85,7 +85,7 @@ fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
         frames.base_frame,
         if frames.publish_tf { format!(", also {} -> {} on /tf", frames.map_frame, frames.odom_frame) } else { String::new() },
         knobs.particles,
-        if period > 0.0 { format!("every {period} s") } else { "with every scan".into() },
+        if period > 0.0 { format!("updated every {period} s") } else { "updated with every scan".into() },
         contract,
     ));
     Ok(())

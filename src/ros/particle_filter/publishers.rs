@@ -1,11 +1,11 @@
-//! Outputs of the node.
+//! The publishers of the node.
 
 use rosrust::api::Ros;
 
-use super::convert::{Placed, fake_scan, header, particles};
+use super::convert::{LocalizedPose, fake_scan, header, particles};
 use super::map_server::MapServer;
 use crate::app::localizer::{Fix, Localizer};
-use crate::app::sensed::Sensed;
+use crate::app::sensed::SensorMessage;
 use crate::config::FrameKnobs;
 use crate::geometry::Pose2;
 use crate::messages::geometry_msgs::{PoseArray, PoseStamped};
@@ -17,10 +17,10 @@ use crate::ros::output::Output;
 use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
 
-/// Where the pose leaves by.
+/// Topic of the pose.
 pub(super) const POSE: &str = "pf/pose/odom";
 
-/// Every topic.
+/// The publishers of all topics.
 pub(super) struct Publishers {
     pose: Output<Odometry>,
     report: Output<FilterReport>,
@@ -28,7 +28,7 @@ pub(super) struct Publishers {
     inferred_pose: Output<PoseStamped>,
     fake_scan: Output<LaserScan>,
     transform: TransformOutput,
-    /// Where the map came from a file: it is there for others as long as this lives.
+    /// Publishes the map if it came from a file.
     _map: Option<MapServer>,
     last_pose: Option<Stamp>,
 }
@@ -54,17 +54,17 @@ impl Publishers {
         &self.transform
     }
 
-    /// The pose, and the transform that goes with it; without odometry there is no frame to give a place to. `is_fix`: the stamp is a
-    /// scan's. A pose between scans moves on with odometry, as does everything below that frame: the transform is the same.
-    pub(super) fn publish_pose(&mut self, placed: &Placed, odom_from_base: Option<Pose2>, is_fix: bool) {
-        if !is_fix && self.last_pose.is_some_and(|last| placed.stamp <= last) {
+    /// Publishes the pose and, if there is odometry, the transform to its frame. `is_fix`: the stamp is that of a scan. Between
+    /// scans the pose moves with the odometry, so the transform does not change and is not published.
+    pub(super) fn publish_pose(&mut self, localized: &LocalizedPose, odom_from_base: Option<Pose2>, is_fix: bool) {
+        if !is_fix && self.last_pose.is_some_and(|last| localized.stamp <= last) {
             return;
         }
-        self.last_pose = Some(placed.stamp);
-        self.pose.send(|| placed.odometry());
-        self.inferred_pose.send(|| placed.pose_stamped());
+        self.last_pose = Some(localized.stamp);
+        self.pose.send(|| localized.odometry());
+        self.inferred_pose.send(|| localized.pose_stamped());
         if let (Some(odom_from_base), true) = (odom_from_base, is_fix) {
-            self.transform.send(|| [placed.transform(&odom_from_base)]);
+            self.transform.send(|| [localized.transform(&odom_from_base)]);
         }
     }
 
@@ -72,8 +72,8 @@ impl Publishers {
         self.report.send(|| fix.report(header(fix.stamp, map_frame), dropped));
     }
 
-    /// What people look at.
-    pub(super) fn publish_display(&self, localizer: &Localizer, scan: &Sensed, map_from_base: &Pose2) {
+    /// Publishes what is only displayed.
+    pub(super) fn publish_display(&self, localizer: &Localizer, scan: &SensorMessage, map_from_base: &Pose2) {
         self.particles.send(|| particles(localizer, scan.stamp()));
         self.fake_scan.send(|| fake_scan(localizer, scan, map_from_base));
     }

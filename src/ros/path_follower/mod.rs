@@ -1,4 +1,4 @@
-//! Follows paths on the ROS graph: poses and paths in, `drive` out.
+//! The path follower node: it subscribes to poses and paths and publishes commands on `drive`.
 //!
 //! ```text
 //!  path, a file, or move_base_simple/goal + map ──► follower ──► drive, follower/report, follower/viz
@@ -15,25 +15,25 @@ use super::shutdown::StopSignal;
 use super::{NodeError, params};
 use crate::control::follower::FollowerKnobs;
 use crate::knobs::{KnobGroup, KnobInfo, Value};
-use crate::transforms::LaserPlace;
+use crate::transforms::LaserPose;
 
 const NAME: &str = "path_follower";
 
 crate::knobs! {
-    /// The node.
+    /// Parameters of the node.
     pub struct PathFollowerKnobs {
-        /// A CSV file of waypoints x, y[, speed], in the map's frame, to be followed from the start; unset: paths come by topic.
+        /// CSV file of waypoints x, y[, speed] in the map frame, followed from the start; unset: paths arrive on the topic.
         path_file: Option<String> = None;
-        /// The YAML file of a map to plan on; unset: the map of the topic `map`.
+        /// YAML file of a map to plan on; unset: the map from the topic `map`.
         map_file: Option<String> = None;
-        /// Whether to plan a way round the map of `map_file` and follow it until another path comes.
+        /// Whether to plan a loop through the map of `map_file` and follow it until a path arrives.
         drive_round: bool = false;
-        /// The frame of the waypoints of `path_file`, and of the map.
+        /// Frame of the map and of the waypoints of `path_file`.
         map_frame: String = "map".into();
-        /// The robot's frame.
+        /// Frame of the robot.
         base_frame: String = "base_link".into();
-        /// Where the laser is on the robot, `[x, y, yaw]`, or with its roll as a fourth number; unset: from `/tf`.
-        laser_in_base: Option<LaserPlace> = None, unit "m, m, rad";
+        /// Mount of the laser on the robot, `[x, y, yaw]`, or with its roll as a fourth number; unset: from `/tf`.
+        laser_in_base: Option<LaserPose> = None, unit "m, m, rad";
         /// Commands per second.
         rate: f64 = 50.0, in 1 to 1000, unit "Hz";
     }
@@ -42,9 +42,9 @@ crate::knobs! {
 /// All parameters of the node, in one namespace.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AllKnobs {
-    /// Of the node.
+    /// Parameters of the node.
     pub node: PathFollowerKnobs,
-    /// Of the follower.
+    /// Parameters of the follower.
     pub follower: FollowerKnobs,
 }
 
@@ -62,8 +62,8 @@ impl KnobGroup for AllKnobs {
     }
 }
 
-/// Runs the node `path_follower` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
-/// parameters.
+/// Runs the node `path_follower` until SIGINT, SIGTERM or the master ends it. The process arguments are those of ROS: remappings
+/// and private parameters.
 pub fn run() -> Result<(), NodeError> {
     super::node::run(NAME, serve)
 }

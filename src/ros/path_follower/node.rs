@@ -1,4 +1,4 @@
-//! The follower as a node.
+//! The algorithm of the path follower node.
 
 use std::fs;
 use std::time::Duration;
@@ -30,12 +30,12 @@ use crate::ros::worker::Algorithm;
 use crate::ros::{NodeError, params, services};
 use crate::time::Stamp;
 
-/// The service after a stop before an obstacle, and what it answers.
-const RESUME: (&str, &str) = ("~resume", "the car may go on");
-/// From one picture of the path to the next.
+/// The service that lets the car continue after a stop before an obstacle, and its reply.
+const RESUME: (&str, &str) = ("~resume", "the car may continue");
+/// Time between two publications of the markers.
 const MARKER_PERIOD: Duration = Duration::from_millis(200);
 
-/// Its outputs.
+/// The publishers of the node.
 struct Publishers {
     drive: Output<AckermannDriveStamped>,
     report: Output<FollowerReport>,
@@ -60,11 +60,11 @@ pub(super) struct FollowerNode<'a> {
     base_frame: String,
     markers: Timer,
     number: u32,
-    /// As last said.
+    /// Code of the last logged reason for a stop.
     stop: Option<&'static str>,
 }
 
-/// Makes the node; it publishes a command with each call of its timer.
+/// Builds the node. It publishes a command each time its timer expires.
 pub(super) fn build<'a>(ros: &'a Ros, master: &'a Master, knobs: AllKnobs) -> Result<Node<'a>, NodeError> {
     let mut parts = NodeParts::new(ros, master)?;
     let Shared { clock, log, mailbox, .. } = parts.shared.clone();
@@ -72,7 +72,7 @@ pub(super) fn build<'a>(ros: &'a Ros, master: &'a Master, knobs: AllKnobs) -> Re
     let publishers = Publishers::new(ros)?;
     parts.services = vec![services::reset(ros, RESUME, &mailbox)?];
     log.info(&format!(
-        "follows paths by {} at up to {} m/s, {} commands a second",
+        "following paths with the control law {}: up to {} m/s, {} commands per second",
         follower.law.name(),
         follower.speed,
         node.rate
@@ -86,21 +86,21 @@ pub(super) fn build<'a>(ros: &'a Ros, master: &'a Master, knobs: AllKnobs) -> Re
 }
 
 impl FollowerNode<'_> {
-    /// The topics it reads.
+    /// The topics it subscribes to.
     fn inputs() -> Vec<Input<Self>> {
         vec![
             Input::with_context("path", |node: &mut Self, message, _, context| {
                 let remark = node.intake.on_path(message);
-                node.say(remark, context);
+                node.log(remark, context);
                 Ok::<_, String>(())
             }),
             Input::with_context("pose", |node: &mut Self, message, _, context| {
                 node.intake.on_pose(message)?;
-                let remark = node.intake.begin_round();
-                node.say(remark, context);
+                let remark = node.intake.start_loop();
+                node.log(remark, context);
                 Ok::<_, String>(())
             })
-            .vital(),
+            .required(),
             Input::of("scan", |node: &mut Self, message| node.intake.on_scan(message)),
             Input::of("map", |node: &mut Self, message| node.intake.on_map(message)),
             Input::with_context("move_base_simple/goal", Self::on_goal),
@@ -117,7 +117,7 @@ impl FollowerNode<'_> {
     fn on_transforms(&mut self, message: &TFMessage, _: &RawMessage, context: &mut Context) -> Result<(), InputError> {
         let outcome = self.intake.on_transforms(message);
         let remark = self.intake.retry();
-        self.say(remark, context);
+        self.log(remark, context);
         outcome
     }
 
@@ -125,24 +125,25 @@ impl FollowerNode<'_> {
         let now = self.now();
         let from = self.intake.follower.pose_at(now);
         let remark = self.intake.on_goal(message, from, now)?;
-        self.say(remark, context);
+        self.log(remark, context);
         Ok(())
     }
 
-    fn say(&self, remark: Option<Remark>, context: &mut Context) {
+    /// Logs a remark of the intake.
+    fn log(&self, remark: Option<Remark>, context: &mut Context) {
         match remark {
-            // A planner that plans again and again is no news.
+            // A planner that keeps sending paths would flood the log.
             Some(Remark::Info(text)) if self.stop.is_some() || self.number == 0 => context.shared.log.info(&text),
             None | Some(Remark::Info(_)) => {}
             Some(Remark::Warning(text)) => context.reader.warn("path", &text),
         }
     }
 
-    /// Publishes a command; nothing on `drive` before there was a path: another node may be in control.
+    /// Publishes a command. Nothing is published on `drive` before the first path, since another node may be in control.
     fn command(&mut self, context: &Context) {
         let now = self.now();
         let step = self.intake.follower.command(now);
-        self.tell_stop(&step, &context.shared.log);
+        self.log_stop(&step, &context.shared.log);
         let (number, frame) = (self.number, self.intake.frame());
         let path = self.intake.follower.progress().map(Progress::path);
         self.publishers.report.send(|| convert::report(number, now, frame, &step, path));
@@ -151,7 +152,7 @@ impl FollowerNode<'_> {
             self.number = self.number.wrapping_add(1).max(1);
         }
         if self.markers.is_due(context.shared.clock.now())
-            && self.publishers.markers.has_listeners()
+            && self.publishers.markers.has_subscribers()
             && let Some(path) = path
         {
             for marker in convert::markers(now, frame, path, &step) {
@@ -160,17 +161,17 @@ impl FollowerNode<'_> {
         }
     }
 
-    /// A line for each change of mind.
-    fn tell_stop(&mut self, step: &Step, log: &Log) {
+    /// Logs each start, stop and change of the reason for a stop.
+    fn log_stop(&mut self, step: &Step, log: &Log) {
         let stop = step.stop.as_ref().map(StopReason::code);
         if stop == self.stop {
             return;
         }
         match &step.stop {
             Some(StopReason::Arrived | StopReason::NoPath | StopReason::NoPose) | None => {
-                log.info(&step.stop.map_or_else(|| "drives".into(), |stop| format!("stands: {stop}")));
+                log.info(&step.stop.map_or_else(|| "driving".into(), |stop| format!("stopped: {stop}")));
             }
-            Some(reason) => log.warn(&format!("brakes: {reason}")),
+            Some(reason) => log.warn(&format!("braking: {reason}")),
         }
         self.stop = stop;
     }
@@ -180,16 +181,16 @@ impl Algorithm for FollowerNode<'_> {
     /// A call of the service `~resume`.
     fn request(&mut self, request: Request, context: &mut Context) {
         if request == Request::Reset {
-            context.shared.log.info("told to go on");
+            context.shared.log.info("resumed by the service ~resume");
             self.intake.follower.resume();
         }
     }
 
-    fn carry_on(&mut self, context: &mut Context) {
+    fn on_timer(&mut self, context: &mut Context) {
         self.command(context);
     }
 
-    /// The last command is to stand.
+    /// Publishes a last command to stop.
     fn end(&mut self, _: &Context) {
         if self.intake.follower.progress().is_some() {
             self.publishers.drive.send(AckermannDriveStamped::default);
@@ -197,11 +198,11 @@ impl Algorithm for FollowerNode<'_> {
     }
 }
 
-/// Takes map and path from the files that the parameters name.
+/// Reads map and path from the files that the parameters name.
 fn read_files(node: &str, knobs: &PathFollowerKnobs, intake: &mut Intake, log: &Log) -> Result<(), NodeError> {
     if let Some(file) = &knobs.map_file {
         let remark = intake.set_map(map_file::read(std::path::Path::new(file))?)?;
-        tell(remark, log);
+        log_remark(remark, log);
     }
     match &knobs.path_file {
         Some(file) => read_path(node, file, intake, log),
@@ -209,21 +210,21 @@ fn read_files(node: &str, knobs: &PathFollowerKnobs, intake: &mut Intake, log: &
     }
 }
 
-/// The path of a file is older than any that comes.
+/// Reads a path file. Its path has the oldest possible stamp, so any path on the topic replaces it.
 fn read_path(node: &str, file: &str, intake: &mut Intake, log: &Log) -> Result<(), NodeError> {
-    let refused = |problem: String| params::refused(node, "path_file", format!("{file}: {problem}"));
-    let text = fs::read_to_string(file).map_err(|problem| refused(problem.to_string()))?;
-    let waypoints = waypoint_file::parse(&text).map_err(|problem| refused(problem.to_string()))?;
+    let invalid = |problem: String| params::bad_value(node, "path_file", format!("{file}: {problem}"));
+    let text = fs::read_to_string(file).map_err(|problem| invalid(problem.to_string()))?;
+    let waypoints = waypoint_file::parse(&text).map_err(|problem| invalid(problem.to_string()))?;
     match intake.take(&waypoints, Stamp::default()) {
-        Some(Remark::Warning(problem)) => Err(refused(problem)),
+        Some(Remark::Warning(problem)) => Err(invalid(problem)),
         remark => {
-            tell(remark, log);
+            log_remark(remark, log);
             Ok(())
         }
     }
 }
 
-fn tell(remark: Option<Remark>, log: &Log) {
+fn log_remark(remark: Option<Remark>, log: &Log) {
     match remark {
         None => {}
         Some(Remark::Info(text)) => log.info(&text),

@@ -1,4 +1,4 @@
-//! What `racecar_simulator` says, and how, oddities and all: what listens to the one must be able to live with the other.
+//! The messages of `racecar_simulator`, including its peculiarities, which subscribers must be able to cope with.
 
 use super::RANGE_MAX;
 use crate::geometry::{Pose2, Twist2};
@@ -12,10 +12,10 @@ use crate::simulation::lidar::LASER_FRAME;
 use crate::simulation::odometer::BASE_FRAME;
 use crate::time::Stamp;
 
-/// Below this speed it computes no yaw rate, m/s.
-const LEAST_TURNING_SPEED: f64 = 0.5;
+/// Minimum speed for which it computes a yaw rate, m/s.
+const MIN_TURNING_SPEED: f64 = 0.5;
 
-/// Scans say nothing of the time they take, have the ranges as intensities, and answer the greatest range where there is no wall.
+/// Its scans give no scan time, repeat the ranges as intensities, and give the maximum range if there is no wall.
 #[allow(clippy::cast_possible_truncation)] // the message carries 32 bits
 pub(super) fn scan(number: u32, mut scan: LaserScan) -> LaserScan {
     scan.header.seq = number;
@@ -27,18 +27,18 @@ pub(super) fn scan(number: u32, mut scan: LaserScan) -> LaserScan {
     scan
 }
 
-/// What it calls odometry is the truth, in the frame of the map, with a covariance of zero; the velocity has no yaw rate when the car
-/// is slow or goes backwards.
+/// Its odometry is the ground truth in the map frame, with a covariance of zero. The yaw rate is zero if the car is slow or
+/// drives backwards.
 pub(super) fn odometry(number: u32, stamp: Stamp, map_from_base: Pose2, twist: Twist2) -> Odometry {
     let mut message =
         Odometry { header: Header::new(number, stamp, MAP_FRAME), child_frame_id: BASE_FRAME.into(), ..Odometry::default() };
     message.pose.pose = map_from_base.into();
     message.twist.twist.linear.x = twist.vx;
-    message.twist.twist.angular.z = if twist.vx < LEAST_TURNING_SPEED { 0.0 } else { twist.omega };
+    message.twist.twist.angular.z = if twist.vx < MIN_TURNING_SPEED { 0.0 } else { twist.omega };
     message
 }
 
-/// Its tree hangs the robot from the map, with no odometry frame between, and the laser from the robot.
+/// Its transforms are map -> base -> laser, without an odometry frame.
 pub(super) fn transforms(number: u32, stamp: Stamp, map_from_base: Pose2, base_from_laser: Pose2) -> TFMessage {
     let transform = |parent: &str, child: &str, pose: Pose2| TransformStamped {
         header: Header::new(number, stamp, parent),
@@ -49,7 +49,7 @@ pub(super) fn transforms(number: u32, stamp: Stamp, map_from_base: Pose2, base_f
     TFMessage { transforms }
 }
 
-/// The true pose has no stamp, and a leading slash before its frame.
+/// Its ground truth pose has no stamp, and a frame with a leading slash.
 pub(super) fn ground_truth(number: u32, map_from_base: Pose2) -> PoseStamped {
     PoseStamped { header: Header::new(number, Stamp::default(), &format!("/{MAP_FRAME}")), pose: map_from_base.into() }
 }
@@ -63,9 +63,9 @@ mod tests {
     use rand::SeedableRng as _;
 
     #[test]
-    fn scans_have_coinciding_ends_and_no_times() {
+    fn the_first_and_last_rays_coincide_and_scans_have_no_times() {
         let knobs = RacecarSimKnobs { scan_std_dev: 0.0, ..RacecarSimKnobs::default() }.lidar();
-        let (world, _) = BuiltIn::Room.draw();
+        let (world, _) = BuiltIn::Room.build();
         let mut lidar = Lidar::new(&knobs, rand_pcg::Pcg64::seed_from_u64(1));
         let scan = scan(7, lidar.scan(|_| &world, |_| Pose2::new(2.0, -1.0, 0.4), Stamp::from_seconds(5.0)));
         assert_eq!((scan.ranges.len(), scan.header.seq, scan.header.frame_id.as_str()), (1080, 7, "laser"));
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn slow_cars_do_not_turn_in_its_odometry() {
+    fn the_yaw_rate_is_zero_for_slow_cars() {
         let omega = |vx| {
             let twist = Twist2 { vx, vy: 0.0, omega: 1.0 };
             odometry(0, Stamp::default(), Pose2::IDENTITY, twist).twist.twist.angular.z.to_bits()

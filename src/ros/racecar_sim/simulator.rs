@@ -5,7 +5,7 @@ use std::time::Duration;
 use rand_pcg::Pcg64;
 use rosrust::api::{Master, Ros};
 
-use super::ground::Ground;
+use super::environment::Environment;
 use super::{RacecarSimKnobs, convert};
 use crate::anytime::timer::Timer;
 use crate::app::{InputError, planar_pose};
@@ -28,16 +28,16 @@ use crate::simulation::vehicle::{Command, VehicleKnobs};
 use crate::simulation::world::World;
 use crate::time::Stamp;
 
-/// What comes late by no more than this is made up for, and ROS's time is not looked at more closely.
-const LONGEST_LAG: Duration = Duration::from_millis(20);
-/// A machine that was asleep does not make the car drive on blindly for longer than this.
-const LONGEST_STEP: Duration = Duration::from_millis(100);
-/// What is published is sent at most this much later than it is due.
+/// Maximum delay for which skipped messages are still published, and maximum difference of ROS time that is ignored.
+const MAX_LAG: Duration = Duration::from_millis(20);
+/// Maximum time simulated without publishing, after the machine was suspended for example.
+const MAX_STEP: Duration = Duration::from_millis(100);
+/// Maximum delay of published messages.
 const TICK: Duration = Duration::from_millis(1);
-/// Slower than this a car that is told a yaw rate cannot turn, m/s.
-const LEAST_TURNING_SPEED: f64 = 1e-3;
+/// Minimum speed for which a commanded yaw rate has an effect, m/s.
+const MIN_TURNING_SPEED: f64 = 1e-3;
 
-/// Its outputs.
+/// The publishers of the node.
 struct Publishers {
     scan: Output<LaserScan>,
     odometry: Output<Odometry>,
@@ -59,9 +59,9 @@ impl Publishers {
 /// The car, and the world it drives in.
 pub(super) struct Simulator<'a> {
     ros: &'a Ros,
-    /// ROS's time when the clock read zero.
+    /// ROS time at zero of the node's clock.
     zero: Stamp,
-    /// Until when the car has driven, by the clock.
+    /// Time on the node's clock up to which the car has been simulated.
     time: Duration,
     publishers: Publishers,
     world: &'a dyn World,
@@ -73,33 +73,33 @@ pub(super) struct Simulator<'a> {
     command: Command,
     poses: Timer,
     scans: Timer,
-    /// Numbers of the last pose and scan, for the headers.
+    /// Sequence numbers of the last pose and the last scan.
     numbers: (u32, u32),
 }
 
-/// Makes the node of a car in a world.
+/// Builds the node.
 pub(super) fn build<'a>(
     ros: &'a Ros,
     master: &'a Master,
     knobs: &RacecarSimKnobs,
-    (ground, vehicle, lidar): (&'a Ground, &'a VehicleKnobs, &'a LidarKnobs),
+    (environment, vehicle, lidar): (&'a Environment, &'a VehicleKnobs, &'a LidarKnobs),
 ) -> Result<Node<'a>, NodeError> {
     let parts = NodeParts::new(ros, master)?;
     let (publishers, now) = (Publishers::new(ros)?, parts.shared.clock.now());
     let RacecarSimKnobs { world, rate, scan_rate, wheelbase, seed, .. } = knobs;
-    parts.shared.log.info(&format!("simulates a racecar in {world}: poses at {rate} Hz, scans at {scan_rate} Hz"));
+    parts.shared.log.info(&format!("simulating a racecar in {world}: poses at {rate} Hz, scans at {scan_rate} Hz"));
     let period = |rate: f64| Duration::from_secs_f64(rate.recip());
     let simulator = Simulator {
         ros,
         zero: Stamp::default(),
         time: now,
         publishers,
-        world: ground.world.as_ref(),
-        car: Car::new(ground.world.as_ref(), vehicle, ground.start()),
+        world: environment.world.as_ref(),
+        car: Car::new(environment.world.as_ref(), vehicle, environment.start()),
         lidar: Lidar::new(lidar, Pcg64::new((*seed).into(), 1)),
         base_from_laser: lidar.laser_in_base,
         wheelbase: *wheelbase,
-        driver: ground.driver(knobs),
+        driver: environment.driver(knobs),
         command: Command::default(),
         poses: Timer::new(period(*rate), now),
         scans: Timer::new(period(*scan_rate), now),
@@ -109,19 +109,19 @@ pub(super) fn build<'a>(
 }
 
 impl Simulator<'_> {
-    /// The topics it reads. A message acts from now on: what was before it is simulated first.
+    /// The topics it subscribes to. The simulation catches up before a message takes effect.
     fn inputs() -> Vec<Input<Self>> {
         vec![
             Input::with_context("drive", |simulator: &mut Self, message: &AckermannDriveStamped, _, context| {
                 simulator.catch_up(context.shared.clock.now());
                 let curvature = f64::from(message.drive.steering_angle).tan() / simulator.wheelbase;
-                simulator.obey(Command { speed: message.drive.speed.into(), curvature })
+                simulator.apply(Command { speed: message.drive.speed.into(), curvature })
             }),
             Input::with_context("cmd_vel", |simulator: &mut Self, Twist { linear, angular }: &Twist, _, context| {
                 simulator.catch_up(context.shared.clock.now());
                 let speed = linear.x;
-                let curvature = if speed.abs() < LEAST_TURNING_SPEED { 0.0 } else { angular.z / speed };
-                simulator.obey(Command { speed, curvature })
+                let curvature = if speed.abs() < MIN_TURNING_SPEED { 0.0 } else { angular.z / speed };
+                simulator.apply(Command { speed, curvature })
             }),
             Input::with_context("pose", |simulator: &mut Self, message: &PoseStamped, _, context| {
                 simulator.catch_up(context.shared.clock.now());
@@ -134,45 +134,46 @@ impl Simulator<'_> {
         ]
     }
 
-    /// From one moment at which something is due to the next, until now: the scheduler's delays leave no gaps in what is published.
+    /// Simulates and publishes up to now, from one due time to the next, so that delays of the scheduler leave no gaps.
     fn catch_up(&mut self, now: Duration) {
-        self.look_at_ros_time(now);
+        self.sync_ros_time(now);
         let mut time = std::mem::replace(&mut self.time, now);
         let lag = now.saturating_sub(time);
-        if let Some(lost) = lag.checked_sub(LONGEST_LAG) {
-            self.drive_on(lost.min(LONGEST_STEP));
+        if let Some(lost) = lag.checked_sub(MAX_LAG) {
+            self.step_car(lost.min(MAX_STEP));
             time += lost;
         }
         while time < now {
-            let step = self.rest(time).min(now.saturating_sub(time));
-            self.drive_on(step);
+            let step = self.time_until_due(time).min(now.saturating_sub(time));
+            self.step_car(step);
             time += step;
             self.publish(time);
         }
     }
 
-    /// Somebody may have set its clock. Small differences are delays between two readings, and would turn stamps back.
-    fn look_at_ros_time(&mut self, now: Duration) {
+    /// Follows jumps of ROS time. Small differences are delays between reading the two clocks; following them could make stamps
+    /// go back.
+    fn sync_ros_time(&mut self, now: Duration) {
         let time = self.ros.now();
         let zero = Stamp::from_ros(time.sec, time.nsec).offset_by(-now.as_secs_f64());
-        if zero.seconds_since(self.zero).abs() > LONGEST_LAG.as_secs_f64() {
+        if zero.seconds_since(self.zero).abs() > MAX_LAG.as_secs_f64() {
             self.zero = zero;
         }
     }
 
-    /// Time until something is due.
-    fn rest(&self, time: Duration) -> Duration {
+    /// Time until the next message is due.
+    fn time_until_due(&self, time: Duration) -> Duration {
         self.poses.left(time).min(self.scans.left(time))
     }
 
-    fn drive_on(&mut self, span: Duration) {
+    fn step_car(&mut self, span: Duration) {
         if let Some(driver) = &mut self.driver {
             self.command = driver.command(&self.car.map_from_base(), self.car.twist().vx);
         }
         self.car.step(self.command, span.as_secs_f64());
     }
 
-    /// What is due at a time, all of it with the same stamp.
+    /// Publishes all messages that are due, with the same stamp.
     fn publish(&mut self, time: Duration) {
         let stamp = self.zero.offset_by(time.as_secs_f64());
         let (pose, twist) = (self.car.map_from_base(), self.car.twist());
@@ -190,10 +191,10 @@ impl Simulator<'_> {
         }
     }
 
-    /// Who gives a command takes the wheel.
-    fn obey(&mut self, command: Command) -> Result<(), &'static str> {
+    /// Applies a command and switches the autopilot off.
+    fn apply(&mut self, command: Command) -> Result<(), &'static str> {
         if !(command.speed.is_finite() && command.curvature.is_finite()) {
-            return Err("the command has numbers that are not finite");
+            return Err("the command is not finite");
         }
         self.driver = None;
         self.command = command;
@@ -211,7 +212,7 @@ impl Simulator<'_> {
 }
 
 impl Algorithm for Simulator<'_> {
-    fn carry_on(&mut self, context: &mut Context) {
+    fn on_timer(&mut self, context: &mut Context) {
         self.catch_up(context.shared.clock.now());
     }
 }

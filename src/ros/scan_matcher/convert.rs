@@ -1,4 +1,4 @@
-//! Estimates as ROS messages.
+//! Conversion of estimates to ROS messages.
 
 use crate::app::Estimate;
 use crate::config::FrameKnobs;
@@ -11,10 +11,10 @@ use crate::odometry::{MatchedPoints, OdometryCounters, Registration};
 use crate::ros::convert::{covariance, transform};
 use crate::ros::markers::{Style, markers, point};
 
-/// An estimate with what the headers of its messages need.
+/// An estimate to be published, with the data for the headers of its messages.
 pub(super) struct Outgoing<'a> {
     pub(super) estimate: &'a Estimate,
-    /// Number of the estimate, for the headers.
+    /// Sequence number for the headers.
     pub(super) number: u32,
     pub(super) frames: &'a FrameKnobs,
 }
@@ -24,17 +24,17 @@ impl Outgoing<'_> {
         Header::new(self.number, self.estimate.stamp, frame)
     }
 
-    /// Of what is on the map.
+    /// Header of messages in the map frame.
     pub(super) fn map_header(&self) -> Header {
         self.header(&self.frames.map_frame)
     }
 
-    /// Of what never jumps.
+    /// Header of messages in the odometry frame, in which the pose never jumps.
     pub(super) fn odom_header(&self) -> Header {
         self.header(&self.frames.odom_frame)
     }
 
-    /// Where the base is on the map.
+    /// The pose of the base in the map frame.
     pub(super) fn pose_stamped(&self) -> PoseStamped {
         PoseStamped { header: self.map_header(), pose: self.estimate.registration.map_from_base().into() }
     }
@@ -49,7 +49,7 @@ impl Outgoing<'_> {
         }
     }
 
-    /// From the map by way of the odometry to the base.
+    /// The transforms from the map to the odometry frame, and from there to the base.
     pub(super) fn transforms(&self) -> [TransformStamped; 2] {
         let &Registration { map_from_odom, odom_from_base, .. } = &self.estimate.registration;
         [
@@ -58,12 +58,12 @@ impl Outgoing<'_> {
         ]
     }
 
-    /// What there is to say of the estimate.
+    /// The report on the estimate.
     pub(super) fn report(&self, counters: &OdometryCounters, dropped: u64) -> MatchReport {
         self.estimate.report(self.odom_header(), counters, dropped)
     }
 
-    /// The reference scan, the sensed points and the pairs between them.
+    /// The reference points, the matched points of the scan, and lines between the pairs.
     pub(super) fn markers(&self, matched: &MatchedPoints) -> [Marker; 3] {
         let style = |kind, width, color| Style { kind, width, color };
         let sensed = matched.pairs.iter().map(|(sensed, _)| point(sensed)).collect();

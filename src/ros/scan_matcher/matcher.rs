@@ -1,4 +1,4 @@
-//! The scan matcher's work: drives the application and publishes its answers.
+//! The algorithm of the scan matcher node: it passes messages to the application and publishes the answers.
 
 use std::sync::mpsc::Sender;
 use std::time::Duration;
@@ -6,43 +6,43 @@ use std::time::Duration;
 use super::compat::Predictors;
 use super::convert::Outgoing;
 use super::publishers::Publishers;
-use crate::app::sensed::Sensed;
-use crate::app::{Answering as _, App, Estimate, InputError};
+use crate::app::sensed::SensorMessage;
+use crate::app::{App, Estimate, InputError, ScanProcessor as _};
 use crate::config::FrameKnobs;
 use crate::messages::geometry_msgs::TwistStamped;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::Outcome;
 use crate::ros::context::Context;
 use crate::ros::diagnostics::{
-    IMU_DISBELIEVED, ODOMETRY_CONTRADICTED, ODOMETRY_DISBELIEVED, OUTSIDE_PROFILE, Sample, TRANSFORM_WITHHELD,
+    IMU_REJECTED, ODOMETRY_CONTRADICTED, ODOMETRY_REJECTED, OUTSIDE_PROFILE, Sample, TRANSFORM_WITHHELD,
 };
 use crate::ros::input::Input;
 use crate::ros::live_params::MatchingChange;
 use crate::ros::mailbox::{NextScan, Request};
 use crate::ros::mapper::MapFeed;
-use crate::ros::priority::let_writers_go_first;
+use crate::ros::priority::yield_to_writers;
 use crate::ros::services::Reply;
 use crate::ros::sink::RawMessage;
 use crate::ros::transform_output::ConflictingPublisher;
 use crate::ros::worker::Algorithm;
 use crate::time::Stamp;
 
-/// Everything the matching thread owns.
-pub(super) struct Matcher {
+/// Everything that the matching thread owns.
+pub(super) struct MatcherNode {
     app: App,
     publishers: Publishers,
-    /// Takes what came of calls of services.
+    /// Channel for replies to service calls.
     replies: Sender<Reply>,
-    /// Where answers go that a map is made of.
+    /// Channel to the mapping thread, if a map is built.
     map: Option<MapFeed>,
 }
 
-impl Matcher {
+impl MatcherNode {
     pub(super) fn new(app: App, publishers: Publishers, replies: Sender<Reply>, map: Option<MapFeed>) -> Self {
         Self { app, publishers, replies, map }
     }
 
-    /// The topics it reads: point clouds or scans, and what is to predict.
+    /// The topics it subscribes to: point clouds or scans, and the wanted sources of prediction.
     pub(super) fn inputs(are_clouds: bool, predictors: Predictors) -> Vec<Input<Self>> {
         let predicting = [
             (predictors.odometry, Input::of("odom", |matcher: &mut Self, message| matcher.app.on_odometry(message))),
@@ -68,15 +68,15 @@ impl Matcher {
 
     fn on_transforms(&mut self, message: &TFMessage, raw: &RawMessage, context: &mut Context) -> Result<(), InputError> {
         let outcome = self.app.on_transforms(message);
-        self.give_way(message, &raw.sender, context);
+        self.check_conflicts(message, &raw.sender, context);
         outcome
     }
 
     fn save_profile(&mut self) {
         let outcome = match &self.app.config().contract.cost_file {
-            None => Err("there is no file to save to: set the parameter contract/cost_file and start the node again".into()),
+            None => Err("no file to save to: set the parameter contract/cost_file and restart the node".into()),
             Some(path) => {
-                let done = format!("what matching costs on this machine is in {path}");
+                let done = format!("the matching costs of this machine are saved to {path}");
                 self.app.store_costs().map(|()| done).map_err(|error| error.to_string())
             }
         };
@@ -90,46 +90,50 @@ impl Matcher {
         }
     }
 
-    fn give_way(&self, message: &TFMessage, sender: &str, context: &Context) {
+    /// Looks for other publishers of this node's transforms.
+    fn check_conflicts(&self, message: &TFMessage, sender: &str, context: &Context) {
         let FrameKnobs { odom_frame, base_frame, .. } = &self.app.config().frames;
         for child in [base_frame, odom_frame] {
             if let Some(other) = ConflictingPublisher::find(message, sender, child) {
                 self.withhold(&other, child, context);
             }
         }
-        // Another odometry in our frame, however many transforms it takes to the base: then it is not ours to say where that frame is.
-        if self.app.transforms().carries(odom_frame, base_frame) {
+        // Another node publishes odometry in our frame, by a chain of transforms to the base. Then this node must not publish
+        // that frame.
+        if self.app.transforms().is_ancestor(odom_frame, base_frame) {
             self.withhold(&ConflictingPublisher::new(sender, odom_frame, base_frame), odom_frame, context);
         }
     }
 
+    /// Stops publishing the transform to `child`.
     fn withhold(&self, other: &ConflictingPublisher, child: &str, context: &Context) {
-        if let Some(warning) = self.publishers.transform().give_way(other, child) {
+        if let Some(warning) = self.publishers.transform().yield_to(other, child) {
             context.shared.log.warn(&warning);
             context.shared.monitor.set_condition(TRANSFORM_WITHHELD, true);
         }
     }
 
-    fn watch(&self, estimate: &Estimate, context: &mut Context) {
+    /// Logs problems, and updates the diagnostics.
+    fn monitor(&self, estimate: &Estimate, context: &mut Context) {
         if let Outcome::Predicted(problem) = &estimate.registration.outcome {
-            context.reader.warn("scan", &format!("no match, the pose is the prediction: {problem}"));
+            context.reader.warn("scan", &format!("not matched, the pose is the prediction: {problem}"));
         }
-        let disbelieved = estimate.registration.disbelieved;
-        context.shared.monitor.set_condition(ODOMETRY_DISBELIEVED, disbelieved.odometry);
+        let rejected = estimate.registration.rejected_sources;
+        context.shared.monitor.set_condition(ODOMETRY_REJECTED, rejected.odometry);
         context.shared.monitor.set_condition(ODOMETRY_CONTRADICTED, estimate.registration.contradicts_odometry);
-        context.shared.monitor.set_condition(IMU_DISBELIEVED, disbelieved.imu);
+        context.shared.monitor.set_condition(IMU_REJECTED, rejected.imu);
         context.shared.monitor.set_condition(OUTSIDE_PROFILE, estimate.outside_profile.is_some());
         context.shared.monitor.set_odometry_lag(self.app.odometry_lag());
-        context.watch_mount(self.app.mount());
+        context.log_mount(self.app.mount());
         context.shared.monitor.record(Sample::from(estimate));
     }
 }
 
-impl Algorithm for Matcher {
-    const WAKES_AT_ONCE: bool = true;
+impl Algorithm for MatcherNode {
+    const REAL_TIME_WAKEUP: bool = true;
 
     fn begin(&mut self, context: &mut Context) {
-        context.tell_priority();
+        context.log_priority();
     }
 
     fn request(&mut self, request: Request, _: &mut Context) {
@@ -144,36 +148,36 @@ impl Algorithm for Matcher {
         self.app.wait_for_odometry(stamp)
     }
 
-    /// A map is the better for every scan: it may wait for as long as one is held back for its odometry.
-    fn patience_in_line(&self) -> Duration {
-        if self.map.is_some() { self.app.patience() } else { Duration::ZERO }
+    /// Every scan improves the map, so scans may wait for as long as one is held back for its odometry.
+    fn max_queue_time(&self) -> Duration {
+        if self.map.is_some() { self.app.max_odometry_wait() } else { Duration::ZERO }
     }
 
-    fn answer(&mut self, scan: &Sensed, arrival: Duration, context: &mut Context) {
-        context.urgency.set(self.app.contract().time_budget.is_some());
+    fn answer(&mut self, scan: &SensorMessage, arrival: Duration, context: &mut Context) {
+        context.real_time.set(self.app.contract().time_budget.is_some());
         self.app.set_keep_matched_points(self.publishers.wants_matched_points());
         let (publishers, map) = (&mut self.publishers, &mut self.map);
         let mut answered = self.app.answer(scan, arrival, |app, estimate| {
             if let Some(map) = map {
-                map.place(estimate);
+                map.set_map_from_odom(estimate);
             }
             publishers.publish_pose(&Outgoing { estimate, number: number(app), frames: &app.config().frames });
         });
         let (app, estimate) = answered.parts();
         context.shared.interrupts.publish(estimate);
-        context.urgency.set(false);
-        let_writers_go_first();
+        context.real_time.set(false);
+        yield_to_writers();
         let (now, answer) =
             (context.shared.clock.now(), Outgoing { estimate, number: number(app), frames: &app.config().frames });
         publishers.publish_details(&answer, app.odometry_counters(), context.shared.mailbox.dropped().scans);
         publishers.publish_display(&answer, app.matched_points(), now);
-        let_writers_go_first();
+        yield_to_writers();
         if let Some(map) = map {
             map.send(scan, estimate, app);
         }
         let estimate = answered.maintain(&NextScan(&context.shared.mailbox));
-        context.tell(self.app.take_remarks());
-        self.watch(&estimate, context);
+        context.log_remarks(self.app.take_warnings());
+        self.monitor(&estimate, context);
     }
 
     fn end(&mut self, context: &Context) {
@@ -183,7 +187,7 @@ impl Algorithm for Matcher {
     }
 }
 
-/// The number of the answer that is being given. Those of headers wrap around.
+/// Sequence number of the current answer for message headers, where it wraps around.
 #[allow(clippy::cast_possible_truncation)]
 fn number(app: &App) -> u32 {
     app.counters().scans as u32

@@ -1,4 +1,4 @@
-//! The scan matcher as a node, with a map of what it has seen or without.
+//! The scan matcher node, with mapping or without.
 //!
 //! ```text
 //!  reader threads               matching thread               main thread
@@ -15,11 +15,11 @@ use std::sync::Arc;
 
 use rosrust::api::{Master, Ros};
 
-use self::compat::Face;
-use self::matcher::Matcher;
+use self::compat::NodeInterface;
+use self::matcher::MatcherNode;
 use self::publishers::Publishers;
 use super::context::Shared;
-use super::diagnostics::Task;
+use super::diagnostics::TaskWording;
 use super::interrupts::Interrupts;
 use super::live_params::{Change, ParameterWatch};
 use super::log::Log;
@@ -35,53 +35,53 @@ use crate::app::App;
 use crate::config::{Config, FrameKnobs};
 
 const NAME: &str = "scan_matcher";
-/// The service that starts again, and what it answers.
-const RESET: (&str, &str) = ("~reset", "the next scan is the first one, at the initial pose");
-const TASK: Task = Task { title: "scan matching", doing: "matching", done: "matched" };
+/// The service that resets the matcher, and its reply.
+const RESET: (&str, &str) = ("~reset", "reset: the next scan starts a new run at the initial pose");
+const TASK: TaskWording = TaskWording { title: "scan matching", doing: "matching", done: "matched" };
 
-/// Runs the node `scan_matcher` until SIGINT, SIGTERM or the master ends it. The arguments of the process are ROS's: remappings and
-/// parameters.
+/// Runs the node `scan_matcher` until SIGINT, SIGTERM or the master ends it. The process arguments are those of ROS: remappings
+/// and private parameters.
 pub fn run() -> Result<(), NodeError> {
     node::run(NAME, |ros, master, stop| {
         let config = params::read(master, ros.name())?;
-        serve(ros, master, stop, &config, &Face::native(), |_| Ok(None))
+        serve(ros, master, stop, &config, &NodeInterface::native(), |_| Ok(None))
     })
 }
 
-/// The same with the parameters and the topics of `laser_scan_matcher`, in whose place it can be put.
+/// The same with the parameters and topics of `laser_scan_matcher`, as a drop-in replacement for it.
 pub fn run_as_laser_scan_matcher() -> Result<(), NodeError> {
     node::run(NAME, |ros, master, stop| {
-        let (config, face) = compat::read(master, ros.name())?;
-        serve(ros, master, stop, &config, &face, |_| Ok(None))
+        let (config, interface) = compat::read(master, ros.name())?;
+        serve(ros, master, stop, &config, &interface, |_| Ok(None))
     })
 }
 
-/// The same with a map of what it has seen: the node `mapper`.
+/// The same with mapping: the node `mapper`.
 pub fn run_mapper() -> Result<(), NodeError> {
     node::run("mapper", |ros, master, stop| {
         let mut config = params::read(master, ros.name())?;
         mapper::prepare(ros.name(), &mut config)?;
         stop.hold(config.mapping.save_on_exit);
         let mapping = |shared: &_| Mapping::start(ros, &config, shared).map(Some);
-        let outcome = serve(ros, master, stop, &config, &Face::native(), mapping);
+        let outcome = serve(ros, master, stop, &config, &NodeInterface::native(), mapping);
         stop.hold(false);
         outcome
     })
 }
 
-/// The scan matcher; `mapping` starts a map beside it, or none.
+/// Runs the scan matcher. `mapping` starts the mapping thread, if there is one.
 fn serve(
     ros: &Ros,
     master: &Master,
     stop: &StopSignal,
     config: &Config,
-    face: &Face,
+    interface: &NodeInterface,
     mapping: impl FnOnce(&Shared) -> Result<Option<Mapping>, NodeError>,
 ) -> Result<(), NodeError> {
     let mut parts = NodeParts::new(ros, master)?;
     let log = parts.shared.log.clone();
-    if !face.ignored.is_empty() {
-        log.warn(&format!("these parameters mean nothing here and are ignored: {}", face.ignored.join(", ")));
+    if !interface.ignored.is_empty() {
+        log.warn(&format!("these parameters have no effect in this node and are ignored: {}", interface.ignored.join(", ")));
     }
     config.warnings().iter().for_each(|warning| log.warn(warning));
     let transform = Arc::new(TransformOutput::default());
@@ -96,9 +96,9 @@ fn serve(
         ros,
         log: log.clone(),
     };
-    let node = build(ros, parts, config, face, transform, mapping.as_mut())?;
+    let node = build(ros, parts, config, interface, transform, mapping.as_mut())?;
     announce(ros, &log, config)?;
-    let outcome = node.run(stop, || changes.look());
+    let outcome = node.run(stop, || changes.poll());
     if let Some(mapping) = mapping {
         mapping.end();
     }
@@ -109,14 +109,14 @@ fn build<'a>(
     ros: &Ros,
     mut parts: NodeParts<'a>,
     config: &Config,
-    face: &Face,
+    interface: &NodeInterface,
     transform: Arc<TransformOutput>,
     mapping: Option<&mut Mapping>,
 ) -> Result<Node<'a>, NodeError> {
     let mut app = App::new(config, Arc::clone(&parts.shared.clock))?;
     app.warm_up()?;
     app.set_interrupt(Arc::clone(&parts.shared.interrupts) as Arc<_>);
-    let publishers = Publishers::new(ros, transform, face)?;
+    let publishers = Publishers::new(ros, transform, interface)?;
     parts.diagnose(TASK)?;
     let (save_profile, replies) = services::save_profile(ros, &parts.shared.mailbox)?;
     parts.services = vec![services::reset(ros, RESET, &parts.shared.mailbox)?, save_profile];
@@ -125,11 +125,11 @@ fn build<'a>(
         parts.services.append(&mut mapping.services);
         feed = mapping.feed.take();
     }
-    let inputs = Matcher::inputs(config.cloud.input, face.predictors);
-    parts.build("matching", Matcher::new(app, publishers, replies, feed), inputs, None)
+    let inputs = MatcherNode::inputs(config.cloud.input, interface.predictors);
+    parts.build("matching", MatcherNode::new(app, publishers, replies, feed), inputs, None)
 }
 
-/// Parameters that are changed while the node runs.
+/// Applies parameter changes while the node runs.
 struct Changes<'a> {
     watch: ParameterWatch<'a>,
     mailbox: Arc<Mailbox>,
@@ -139,11 +139,11 @@ struct Changes<'a> {
 }
 
 impl Changes<'_> {
-    fn look(&mut self) {
-        for (name, change) in self.watch.look() {
+    fn poll(&mut self) {
+        for (name, change) in self.watch.poll() {
             match change.and_then(|change| self.apply(change)) {
-                Ok(()) => self.log.info(&format!("parameter {name}: in force from now on")),
-                Err(problem) => self.log.error(&format!("parameter {name}: no effect: {problem}")),
+                Ok(()) => self.log.info(&format!("parameter {name}: now in effect")),
+                Err(problem) => self.log.error(&format!("parameter {name}: change ignored: {problem}")),
             }
         }
     }
@@ -159,14 +159,14 @@ impl Changes<'_> {
     }
 }
 
-/// Says that the node is ready, and what for.
+/// Logs that the node is ready, with its topics, frames and contract.
 fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
     let contract = Contract::try_from(&config.contract)?;
     let [scan, odometry, pose] =
         [if config.cloud.input { "cloud" } else { "scan" }, "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
     let frames = &config.frames;
     log.info(&format!(
-        "matches {} with {} to {} ({} -> {}; {}), {}, by {} + {}",
+        "matching {} with {}; poses on {} ({} -> {}; {}); contract: {}; method: {} + {}",
         scan?,
         odometry?,
         pose?,
@@ -180,7 +180,7 @@ fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
     Ok(())
 }
 
-/// What is said on `/tf`, in words.
+/// Describes the transforms that are published on `/tf`.
 fn transforms(frames: &FrameKnobs) -> String {
     let [map, odom, base] = [&frames.map_frame, &frames.odom_frame, &frames.base_frame];
     match (frames.publish_map_tf, frames.publish_tf) {

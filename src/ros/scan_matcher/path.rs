@@ -1,4 +1,4 @@
-//! The way so far, for display.
+//! The path so far, for display.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -6,16 +6,16 @@ use std::time::Duration;
 use crate::geometry::Pose2;
 use crate::messages::geometry_msgs::PoseStamped;
 
-/// Poses kept: 500 m at the spacing below.
+/// Maximum number of poses: 500 m at the spacing below.
 const MAX_POSES: usize = 10_000;
-/// Poses are this far apart, m ...
+/// Distance after which a pose is added, m.
 const SPACING: f64 = 0.05;
-/// ... or turned by this much, rad.
-const TURN: f64 = 0.1;
-/// The path is long: it is sent this often at most.
+/// Rotation after which a pose is added, rad.
+const ROTATION: f64 = 0.1;
+/// Minimum time between two messages, since the path is long.
 const PERIOD: Duration = Duration::from_millis(500);
 
-/// Poses along the way.
+/// Poses along the path.
 #[derive(Default)]
 pub(super) struct PathHistory {
     poses: VecDeque<PoseStamped>,
@@ -29,11 +29,11 @@ impl PathHistory {
         self.last = None;
     }
 
-    /// Adds a pose, if it is far enough from the last one.
+    /// Adds a pose if it is far enough from the last one.
     pub(super) fn add(&mut self, pose: &Pose2, message: impl FnOnce() -> PoseStamped) {
         let far = |last: Pose2| {
             let motion = last.between(pose);
-            motion.distance() >= SPACING || motion.theta.abs() >= TURN
+            motion.distance() >= SPACING || motion.theta.abs() >= ROTATION
         };
         if self.last.is_none_or(far) {
             self.last = Some(*pose);
@@ -44,7 +44,7 @@ impl PathHistory {
         }
     }
 
-    /// The poses, when it is time to send them again.
+    /// Returns the poses if it is time to publish them again.
     pub(super) fn due(&mut self, now: Duration) -> Option<Vec<PoseStamped>> {
         let due = self.sent.is_none_or(|sent| now.saturating_sub(sent) >= PERIOD);
         due.then(|| {
@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_path_is_thinned_bounded_and_sent_now_and_then() {
+    fn the_path_is_thinned_and_bounded_and_published_at_a_limited_rate() {
         let mut path = PathHistory::default();
         for step in 0..(2 * MAX_POSES + 100) {
             path.add(&Pose2::new(0.03 * step as f64, 0.0, 0.0), PoseStamped::default);

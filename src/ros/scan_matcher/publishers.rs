@@ -1,11 +1,11 @@
-//! Outputs of the node.
+//! The publishers of the node.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use rosrust::api::Ros;
 
-use super::compat::{Face, PoseOutputs};
+use super::compat::{NodeInterface, PoseOutputs};
 use super::convert::Outgoing;
 use super::path::PathHistory;
 use crate::messages::geometry_msgs::PoseStamped;
@@ -19,7 +19,7 @@ use crate::ros::output::Output;
 use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
 
-/// Every topic that an answer leaves by.
+/// The publishers of all topics that an answer is published on.
 pub(super) struct Publishers {
     pose: Output<PoseStamped>,
     state: Output<Int32>,
@@ -28,7 +28,7 @@ pub(super) struct Publishers {
     path: Output<Path>,
     debug: Output<Marker>,
     transform: Arc<TransformOutput>,
-    /// The topics of another node's face, if this one has it.
+    /// The pose topics of `laser_scan_matcher`, in compatibility mode.
     compat: Option<PoseOutputs>,
     edge: i32,
     history: PathHistory,
@@ -36,8 +36,8 @@ pub(super) struct Publishers {
 }
 
 impl Publishers {
-    /// With the output of transforms, which comes and goes.
-    pub(super) fn new(ros: &Ros, transform: Arc<TransformOutput>, face: &Face) -> Result<Self, NodeError> {
+    /// `transform` is shared with the main thread, which can switch transforms on and off.
+    pub(super) fn new(ros: &Ros, transform: Arc<TransformOutput>, interface: &NodeInterface) -> Result<Self, NodeError> {
         Ok(Self {
             pose: Output::urgent(ros, "scan_match_location")?,
             state: Output::urgent(ros, "icp_state")?,
@@ -46,16 +46,16 @@ impl Publishers {
             path: Output::latched(ros, "icp/path")?,
             debug: Output::new(ros, "scan_match_debug")?,
             transform,
-            compat: face.poses.map(|wanted| PoseOutputs::new(ros, wanted)).transpose()?,
+            compat: interface.poses.map(|wanted| PoseOutputs::new(ros, wanted)).transpose()?,
             edge: 0,
             history: PathHistory::default(),
             last_transform: None,
         })
     }
 
-    /// Whether anybody looks at matched points.
+    /// Whether matched points are subscribed to.
     pub(super) fn wants_matched_points(&self) -> bool {
-        self.debug.has_listeners()
+        self.debug.has_subscribers()
     }
 
     /// The output of transforms.
@@ -63,7 +63,7 @@ impl Publishers {
         &self.transform
     }
 
-    /// What the controller waits for: the pose, and the edge that signals it.
+    /// Publishes what a controller waits for: the pose, and the edge that signals it.
     pub(super) fn publish_pose(&mut self, answer: &Outgoing) {
         self.pose.send(|| answer.pose_stamped());
         if let Some(compat) = &self.compat {
@@ -73,14 +73,15 @@ impl Publishers {
         self.state.send(|| Int32 { data: self.edge });
     }
 
-    /// Everything else. The counts go into the report.
+    /// Publishes everything else. The counters go into the report.
     pub(super) fn publish_details(&mut self, answer: &Outgoing, counters: &OdometryCounters, dropped: u64) {
         self.publish_transform(answer);
         self.odometry.send(|| answer.odometry());
         self.report.send(|| answer.report(counters, dropped));
     }
 
-    /// tf does not want a stamp twice, and a transform of the past would only say what an answer out of order repeats.
+    /// Publishes the transforms, except for repeated or older stamps: tf rejects a repeated stamp, and an answer to an
+    /// out-of-order scan adds nothing.
     fn publish_transform(&mut self, answer: &Outgoing) {
         let (stamp, outcome) = (answer.estimate.stamp, &answer.estimate.registration.outcome);
         if *outcome == Outcome::First || self.last_transform.is_none_or(|last| stamp > last) {
@@ -89,14 +90,14 @@ impl Publishers {
         }
     }
 
-    /// What people look at.
+    /// Publishes what is only displayed.
     pub(super) fn publish_display(&mut self, answer: &Outgoing, matched_points: Option<&MatchedPoints>, now: Duration) {
         let registration = &answer.estimate.registration;
         if registration.outcome == Outcome::First {
             self.history.clear();
         }
         self.history.add(&registration.map_from_base(), || answer.pose_stamped());
-        if self.path.has_listeners()
+        if self.path.has_subscribers()
             && let Some(poses) = self.history.due(now)
         {
             self.path.send(|| Path { header: answer.map_header(), poses });

@@ -1,4 +1,4 @@
-//! A node that hears one lidar and is asked for every answer.
+//! A test bench: a node with one lidar, whose answer to each scan is checked.
 
 use std::fs;
 use std::io::Write;
@@ -24,27 +24,27 @@ pub struct Bench {
     pub reports: Listener,
     pub laser: Laser,
     next: u32,
-    // Last: it ends the master.
+    // Last: dropping it ends the master.
     pub graph: Graph,
 }
 
 impl Bench {
-    /// `None` where ROS is not installed.
+    /// `None` if ROS is not installed.
     pub fn start(beams: usize) -> Option<Self> {
         Self::start_with(beams, |graph| graph.node(&[MOUNT]))
     }
 
-    /// The node may have so much address space, kB.
+    /// Limits the address space of the node, kB.
     pub fn start_with_limit(beams: usize, kilobytes: u32) -> Option<Self> {
         Self::start_with(beams, |graph| {
             let script = format!("ulimit -v {kilobytes}; exec \"$0\" \"$@\"");
             let node = graph.spawn("sh", &["-c", &script, NODE, MOUNT]);
-            node.expect_log("matches ");
+            node.expect_log("; poses on ");
             node
         })
     }
 
-    /// With the machine for itself.
+    /// With the machine to itself.
     pub fn alone(beams: usize) -> Option<Self> {
         Some(Self::on(Graph::alone()?, beams, |graph| graph.node(&[MOUNT])))
     }
@@ -69,7 +69,7 @@ impl Bench {
         drive::scan(number, f64::from(number) * PERIOD, self.laser)
     }
 
-    /// Where the car is at the last scan.
+    /// The true pose of the car at the last scan.
     pub fn truth(&self) -> Pose2 {
         drive::base_pose(f64::from(self.next - 1) * PERIOD)
     }
@@ -87,7 +87,7 @@ impl Bench {
         (planar_pose(&pose.pose).unwrap(), report)
     }
 
-    /// Checks that the answer to the next scan is a match, where the car is.
+    /// Checks that the next scan is matched at the true pose.
     pub fn check_step(&mut self) {
         let (pose, report) = self.step();
         let error = pose.between(&self.truth());
@@ -104,7 +104,7 @@ pub fn send<T: Message>(stream: &mut TcpStream, message: &T) {
     stream.write_all(&frame(&encode(message).unwrap())).unwrap();
 }
 
-/// What a process has.
+/// Resources used by a process.
 #[derive(Clone, Copy, Debug)]
 pub struct Resources {
     /// Resident, kB.

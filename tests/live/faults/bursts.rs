@@ -1,4 +1,4 @@
-//! More than there is time for, and clocks that cannot be trusted.
+//! Overload, and unreliable clocks.
 
 use std::net::TcpStream;
 use std::sync::LazyLock;
@@ -14,10 +14,10 @@ use speedy::{Readable, Writable};
 
 use super::bench::{Bench, send};
 use crate::common::drive::{self, MOUNT, PERIOD};
-use crate::common::graph::{Graph, PATIENCE, Process};
+use crate::common::graph::{Graph, Process, TIMEOUT};
 use crate::common::wire::Publisher;
 
-/// Sends `count` scans, each so long after the one before. The report on the last one.
+/// Sends `count` scans, `period` apart; returns the report on the last one.
 fn send_scans(bench: &mut Bench, count: u32, period: Duration) -> MatchReport {
     let start = Instant::now();
     let mut last = bench.next_scan();
@@ -31,7 +31,7 @@ fn send_scans(bench: &mut Bench, count: u32, period: Duration) -> MatchReport {
     bench.reports.find(|report: &MatchReport| report.header.stamp == last.header.stamp)
 }
 
-/// The first `sent` scans are answered or counted. The number of an answer is how many there were.
+/// Checks that the first `sent` scans are answered or counted as dropped. The sequence number of an answer counts the answers.
 fn check_accounts(report: &MatchReport, sent: u32) {
     eprintln!("{} of {sent} answered, {} dropped", report.header.seq, report.dropped);
     assert_eq!(report.header.seq + report.dropped, sent);
@@ -39,11 +39,11 @@ fn check_accounts(report: &MatchReport, sent: u32) {
 
 fn interrupt(mut node: Process) {
     node.signal("INT");
-    assert_eq!(node.exit_code(PATIENCE), Some(0), "{}", node.log());
+    assert_eq!(node.exit_code(TIMEOUT), Some(0), "{}", node.log());
 }
 
 #[test]
-fn of_a_burst_the_newest_is_answered_and_the_rest_is_counted() {
+fn the_newest_scan_of_a_burst_is_answered_and_the_others_are_counted() {
     let Some(mut bench) = Bench::start(541) else { return };
     bench.step();
     let memory = bench.resources().memory;
@@ -58,13 +58,13 @@ fn of_a_burst_the_newest_is_answered_and_the_rest_is_counted() {
     interrupt(bench.node);
 }
 
-/// As when a bag is played many times as fast as it was recorded: what came one after the other comes at once, and in any order.
+/// As when a bag is played much faster than real time: messages arrive at once, and in any order.
 #[test]
-fn scans_that_come_at_once_and_before_their_odometry_are_all_in_the_map() {
+fn scans_that_arrive_at_once_and_before_their_odometry_are_all_in_the_map() {
     const SCANS: u32 = 40;
     let start = |graph: &Graph| {
         let mapper = graph.spawn(env!("CARGO_BIN_EXE_mapper"), &["__name:=scan_matcher", MOUNT, "_odometry/max_wait:=5"]);
-        mapper.expect_log("matches ");
+        mapper.expect_log("; poses on ");
         mapper
     };
     let Some(mut bench) = Bench::start_with(541, start) else { return };
@@ -80,7 +80,7 @@ fn scans_that_come_at_once_and_before_their_odometry_are_all_in_the_map() {
     for scan in &scans {
         send(&mut bench.scans, scan);
     }
-    std::thread::sleep(Duration::from_millis(100)); // the odometry is on its way
+    std::thread::sleep(Duration::from_millis(100)); // wait until the odometry is in transit
     (0..SCANS).for_each(|_| tell(&mut time));
     let last = scans[scans.len() - 1].header.stamp;
     let report = bench.reports.find(|report: &MatchReport| report.header.stamp == last);
@@ -91,7 +91,7 @@ fn scans_that_come_at_once_and_before_their_odometry_are_all_in_the_map() {
 }
 
 #[test]
-fn odometry_in_floods_and_far_too_late_does_no_harm() {
+fn floods_of_odometry_and_late_odometry_do_no_harm() {
     let Some(mut bench) = Bench::start(541) else { return };
     let mut wheels = Publisher::new::<Odometry>(&bench.graph, "/wheels", "/odom").link();
     let at_once = |from: f64, wheels: &mut TcpStream| {
@@ -131,7 +131,7 @@ impl Message for ClockMessage {
 }
 
 #[test]
-fn a_clock_that_jumps_and_stops_stops_nothing() {
+fn a_clock_that_jumps_or_stops_does_not_stop_the_node() {
     let start = |graph: &crate::common::graph::Graph| {
         graph.output("rosparam", &["set", "use_sim_time", "true"]);
         graph.node(&[MOUNT])

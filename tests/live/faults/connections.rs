@@ -1,4 +1,4 @@
-//! Connections that break, stand still or never begin.
+//! Connections that break, stall or never start.
 
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
@@ -13,7 +13,7 @@ use crate::common::graph::eventually;
 use crate::common::wire::{Listener, Publisher, connect};
 
 #[test]
-fn a_broken_connection_is_made_again() {
+fn a_broken_connection_is_reconnected() {
     let Some(mut bench) = Bench::start(541) else { return };
     bench.step();
     for _ in 0..3 {
@@ -27,7 +27,7 @@ fn a_broken_connection_is_made_again() {
 }
 
 #[test]
-fn publishers_that_say_nothing_or_nonsense_keep_nobody_else_waiting() {
+fn silent_or_malformed_publishers_do_not_block_others() {
     let Some(mut bench) = Bench::start(541) else { return };
     bench.step();
     let silent = Publisher::new::<LaserScan>(&bench.graph, "/silent", "/scan");
@@ -42,7 +42,7 @@ fn publishers_that_say_nothing_or_nonsense_keep_nobody_else_waiting() {
 }
 
 #[test]
-fn subscribers_that_do_not_read_and_clients_that_do_not_speak_harm_nobody() {
+fn subscribers_that_do_not_read_and_silent_clients_do_not_block_others() {
     let Some(mut bench) = Bench::start(541) else { return };
     bench.step();
     let files = bench.resources().files;
@@ -51,9 +51,9 @@ fn subscribers_that_do_not_read_and_clients_that_do_not_speak_harm_nobody() {
     let half_open: Vec<_> = (0..2).map(|_| connect(&bench.graph, "/scan_match_debug")).collect();
     let half_open_service = TcpStream::connect(bench.graph.service_address("/scan_matcher/reset")).unwrap();
     assert!(bench.graph.trigger("/scan_matcher/reset").contains("initial pose"));
-    let mut healthy = Listener::new(&bench.graph, "/scan_match_debug"); // behind those that do not speak
+    let mut healthy = Listener::new(&bench.graph, "/scan_match_debug"); // behind those that send nothing
     let memory = bench.resources().memory;
-    let heard = std::thread::spawn(move || {
+    let received = std::thread::spawn(move || {
         let mut count = 0;
         while healthy.stream.set_read_timeout(Some(Duration::from_secs(2))).is_ok() && healthy.next_bytes().is_ok() {
             count += 1;
@@ -67,12 +67,12 @@ fn subscribers_that_do_not_read_and_clients_that_do_not_speak_harm_nobody() {
         send(&mut bench.scans, &scan);
         let _: MatchReport = bench.reports.find(|report: &MatchReport| report.header.stamp == scan.header.stamp);
     }
-    let heard = heard.join().unwrap();
-    eprintln!("{heard} of {} markers", 3 * scans);
-    assert!(heard > 3 * scans * 9 / 10, "{heard}");
+    let received = received.join().unwrap();
+    eprintln!("{received} of {} markers", 3 * scans);
+    assert!(received > 3 * scans * 9 / 10, "{received}");
     let grown = bench.resources().memory.saturating_sub(memory);
     assert!(grown < 8_000, "{grown} kB more");
-    // All have been cut off, though those that do not read are still there.
+    // All have been disconnected, although those that do not read are still connected on their side.
     let cut_off = || {
         bench.step();
         bench.resources().files <= files

@@ -1,4 +1,4 @@
-//! Messages that are none, and such as no robot should send, under a limit of memory.
+//! Invalid and absurd messages, with limited memory.
 
 use std::io::Write;
 use std::time::Instant;
@@ -20,7 +20,7 @@ use crate::common::wire::{Listener, Publisher, frame};
 /// Address space of the node, kB.
 const LIMIT: u32 = 512 * 1024;
 
-/// Something else made of the bytes of a message.
+/// Mutates the bytes of a message.
 fn mutate(mut bytes: Vec<u8>, rng: &mut Pcg64) -> Vec<u8> {
     let place = rng.random_range(0..bytes.len());
     let word = |value: u32, bytes: &mut Vec<u8>| {
@@ -41,7 +41,7 @@ fn mutate(mut bytes: Vec<u8>, rng: &mut Pcg64) -> Vec<u8> {
     bytes
 }
 
-/// Sends so many mutations of `message`; how many of them are no message.
+/// Sends `count` mutations of `message`; returns how many of them are invalid.
 fn flood<T: Message>(bench: &Bench, topic: &'static str, message: &T, count: u32) -> u32 {
     let mut stream = Publisher::new::<T>(&bench.graph, &format!("/mad{}", topic.replace('/', "_")), topic).link();
     let (good, mut rng) = (encode(message).unwrap(), Pcg64::seed_from_u64(topic.len() as u64));
@@ -61,14 +61,14 @@ fn transform() -> TFMessage {
     TFMessage { transforms: vec![transform] }
 }
 
-/// How many messages the node has refused.
+/// The number of messages that the node has rejected.
 fn refused(diagnostics: &mut Listener) -> u32 {
     let array = DiagnosticArray::decode(&diagnostics.next_bytes().unwrap()[..]).unwrap();
     array.status[0].values.iter().find(|entry| entry.key == "messages refused").unwrap().value.parse().unwrap()
 }
 
 #[test]
-fn twenty_thousand_mutated_messages_change_nothing_for_the_next_good_one() {
+fn twenty_thousand_mutated_messages_do_not_affect_the_next_valid_one() {
     let Some(mut bench) = Bench::start_with_limit(181, LIMIT) else { return };
     bench.step();
     let mut diagnostics = Listener::new(&bench.graph, "/diagnostics");
@@ -81,25 +81,25 @@ fn twenty_thousand_mutated_messages_change_nothing_for_the_next_good_one() {
         + flood(&bench, "/tf", &transform(), each);
     assert!(bad > 1000 && bad_events > 3000, "{bad} {bad_events}");
     send(&mut Publisher::new::<Contract>(&bench.graph, "/sane", "/icp_contract").link(), &contract);
-    std::thread::sleep(std::time::Duration::from_secs(1)); // the contract is on another connection
+    std::thread::sleep(std::time::Duration::from_secs(1)); // the contract uses another connection
 
     let (_, report) = bench.step();
     assert!(bench.node.is_running(), "{report:?}: {}", bench.node.log());
     assert!((0..30).any(|_| refused(&mut diagnostics) > 1000), "{}", bench.node.log());
     let seconds = usize::try_from(start.elapsed().as_secs()).unwrap() + 2;
     for topic in ["scan", "odom", "icp_contract", "/tf"] {
-        let told = bench.node.log().matches(&format!("/scan_matcher: {topic}: a message from")).count();
-        // Of scans, other complaints may have come first.
+        let logged = bench.node.log().matches(&format!("/scan_matcher: {topic}: message from")).count();
+        // For scans, other warnings may have come first.
         let least = usize::from(topic != "scan");
-        assert!((least..=seconds).contains(&told), "{topic}: {told} times in {seconds} s");
+        assert!((least..=seconds).contains(&logged), "{topic}: {logged} times in {seconds} s");
     }
-    // Odometry and scans may have led it anywhere; from here on it matches again.
+    // Odometry and scans may have moved the estimate anywhere; from here on it matches again.
     assert!((0..40).any(|_| bench.step().1.ok), "{}", bench.node.log());
     eprintln!("{:?}", bench.resources());
 }
 
 #[test]
-fn absurd_lengths_cost_a_connection_and_nothing_else() {
+fn absurd_lengths_only_close_the_connection() {
     let Some(mut bench) = Bench::start_with_limit(181, LIMIT) else { return };
     bench.step();
     for length in [u32::MAX, 1 << 31, (32 << 20) + 1] {
@@ -107,16 +107,16 @@ fn absurd_lengths_cost_a_connection_and_nothing_else() {
         bench.scans = bench.lidar.link();
         bench.check_step();
     }
-    bench.node.expect_log(&format!("it announces a message of {} bytes", u32::MAX));
+    bench.node.expect_log(&format!("it announced a message of {} bytes", u32::MAX));
     send(&mut bench.scans, &EndlessScan::new(1, 0.1));
-    bench.node.expect_log("scan: a message from /lidar is refused"); // before a newer one takes its place
+    bench.node.expect_log("scan: message from /lidar rejected"); // before a newer one replaces it
     bench.check_step();
     let mut diagnostics = Listener::new(&bench.graph, "/diagnostics");
     assert_eq!((0..5).map(|_| refused(&mut diagnostics)).max(), Some(4));
 }
 
 #[test]
-fn odd_scans_and_stamps_are_answered_and_the_next_good_one_is_matched() {
+fn odd_scans_and_stamps_are_answered_and_the_next_valid_scan_is_matched() {
     let Some(mut bench) = Bench::start_with_limit(181, LIMIT) else { return };
     bench.step();
     let good = bench.next_scan();

@@ -1,5 +1,5 @@
-//! From a scan on its way to its pose on its way back, over loopback; and beside it what an echo takes there: a node of roscpp that
-//! answers each scan with a pose, and bare bytes.
+//! Latency from sending a scan to receiving its pose, over loopback, compared with an echo: a roscpp node that answers each scan with a
+//! pose, and raw bytes.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -13,7 +13,7 @@ use super::roscpp::Echo;
 use crate::common::graph::installed;
 use crate::common::wire::Listener;
 
-/// Sends scans at `hertz`; the latencies of those that were answered, in ascending order.
+/// Sends scans at `hertz`; returns the latencies of those that were answered, in ascending order.
 fn measure(scans: &[LaserScan], hertz: f64, link: &mut TcpStream, poses: &mut Listener) -> Vec<Duration> {
     let stamps: Vec<_> = scans.iter().map(|scan| scan.header.stamp).collect();
     let last = *stamps.last().unwrap();
@@ -41,7 +41,7 @@ fn measure(scans: &[LaserScan], hertz: f64, link: &mut TcpStream, poses: &mut Li
     latencies
 }
 
-/// The latencies of a bare echo: of the bytes of a scan, all but a pose's worth are kept.
+/// The latencies of a raw echo: it receives the bytes of a scan and returns as many as a pose has.
 fn measure_echo(count: u32, hertz: f64, bytes: usize) -> Vec<Duration> {
     const POSE: usize = 100;
     let listener = TcpListener::bind("localhost:0").unwrap();
@@ -67,7 +67,7 @@ fn measure_echo(count: u32, hertz: f64, bytes: usize) -> Vec<Duration> {
     latencies
 }
 
-/// By then a node that was started last asks the master who publishes no more often than it always does.
+/// After this time the node started last polls the master at its normal rate.
 const SETTLED: Duration = Duration::from_secs(3);
 
 fn print(what: &str, latencies: &[Duration]) {
@@ -75,7 +75,7 @@ fn print(what: &str, latencies: &[Duration]) {
     eprintln!("{what}: {} answers, p50 {median:?}, p99 {tail:?}, max {longest:?}", latencies.len());
 }
 
-/// `at_least`: so many scans are answered on the busiest machine.
+/// `at_least`: minimum number of answered scans, even on a busy machine.
 fn compare(beams: usize, count: u32, hertz: f64, echo: Option<&Echo>, at_least: usize) {
     let Some(mut bench) = Bench::alone(beams) else { return };
     bench.step();
@@ -92,7 +92,7 @@ fn compare(beams: usize, count: u32, hertz: f64, echo: Option<&Echo>, at_least: 
     assert!(ours.len() > at_least, "{}", ours.len());
 }
 
-/// So many scans at 40 Hz, and at 1 kHz.
+/// `slow` scans at 40 Hz, and `fast` scans at 1 kHz.
 fn compare_at_both_rates(slow: u32, fast: u32) {
     if !installed("roscore") {
         return;
@@ -107,7 +107,7 @@ fn latency_of_a_pose() {
     compare_at_both_rates(200, 2000);
 }
 
-/// Figures to be stated: `cargo test --test live -- --ignored latency --nocapture`.
+/// For documented figures: `cargo test --test live -- --ignored latency --nocapture`.
 #[test]
 #[ignore = "takes a minute and a half"]
 fn latency_of_a_pose_over_many_scans() {

@@ -1,4 +1,4 @@
-//! roscore dies and comes back, and has lost all parameters.
+//! roscore dies, and comes back without its parameters.
 
 use std::time::Instant;
 
@@ -6,7 +6,7 @@ use super::bench::Bench;
 use crate::common::graph::eventually;
 
 #[test]
-fn a_new_master_learns_of_the_node_which_goes_on_as_if_nothing_had_been() {
+fn the_node_registers_with_a_new_master_and_keeps_its_state() {
     let Some(mut bench) = Bench::start(541) else { return };
     for _ in 0..40 {
         bench.step();
@@ -15,7 +15,7 @@ fn a_new_master_learns_of_the_node_which_goes_on_as_if_nothing_had_been() {
     let resources = bench.resources();
     bench.graph.stop_master();
     bench.node.expect_log("the ROS master does not answer");
-    bench.check_step(); // connections do not need a master
+    bench.check_step(); // existing connections need no master
     bench.graph.start_master();
     let back = Instant::now();
     bench.node.expect_log("registered again");
@@ -24,11 +24,11 @@ fn a_new_master_learns_of_the_node_which_goes_on_as_if_nothing_had_been() {
     for topic in ["/scan", "/odom", "/tf", "/scan_match_location", "/icp_report", "/diagnostics", "/scan_matcher/reset"] {
         assert!(state.contains(topic), "{topic} is not in {state}");
     }
-    bench.check_step(); // the old link is the only one
+    bench.check_step(); // only the old connection exists
 
     bench.lidar.register(&bench.graph);
     bench.scans.shutdown(std::net::Shutdown::Both).unwrap();
-    bench.scans = bench.lidar.link(); // the new master's word brings it back
+    bench.scans = bench.lidar.link(); // the new master reports it, and it is connected again
     bench.check_step();
     let (_, after) = bench.step();
     assert!(after.keyframes >= before.keyframes && after.header.seq > before.header.seq, "{before:?} {after:?}");

@@ -1,5 +1,5 @@
-//! The node among everything that goes wrong on robots: masters that are replaced, connections that break or stand still, messages
-//! that are none, floods of them, signals at bad moments.
+//! The node under the faults that happen on robots: masters that are replaced, connections that break or stall, invalid messages,
+//! floods of messages, signals at bad times.
 
 mod bench;
 mod bursts;

@@ -1,4 +1,4 @@
-//! SIGKILL while files are written: they hold everything until then, up to the last whole line.
+//! SIGKILL while files are written: they must contain everything until then, up to the last complete line.
 
 use std::fs;
 use std::path::Path;
@@ -15,23 +15,23 @@ use super::bench::Bench;
 use crate::common::drive;
 use crate::common::graph::{Process, eventually};
 
-/// The whole lines of a file.
+/// The complete lines of a file.
 fn whole_lines(path: &Path) -> String {
     let text = fs::read_to_string(path).unwrap_or_default();
     text[..text.rfind('\n').map_or(0, |end| end + 1)].to_owned()
 }
 
-/// The rows in the whole lines of a table, each with as many fields as the first line has names.
+/// The complete rows of a table, each with as many fields as the header.
 fn rows(path: &Path) -> Vec<StringRecord> {
     csv::Reader::from_reader(whole_lines(path).as_bytes()).records().map(Result::unwrap).collect()
 }
 
-/// Kills `process` at a random moment after `file` has got so many lines.
+/// Kills `process` at a random time after `file` has this number of lines.
 fn kill_after(process: Process, file: &Path, lines: usize, rng: &mut Pcg64) {
     assert!(eventually(|| whole_lines(file).lines().count() > lines), "{}", process.log());
     std::thread::sleep(Duration::from_millis(rng.random_range(0..100)));
     process.signal("KILL");
-    drop(process); // waits for its end
+    drop(process); // waits until it has ended
 }
 
 fn anytime(arguments: &[&Path]) -> Command {
@@ -41,7 +41,7 @@ fn anytime(arguments: &[&Path]) -> Command {
 }
 
 #[test]
-fn a_replay_leaves_every_answer_before_the_kill() {
+fn a_killed_replay_leaves_every_earlier_answer() {
     let dir = TempDir::new().unwrap();
     let bag = dir.path().join("drive.bag");
     drive::write_with_beams(&bag, 4000, 181, |_| ());
@@ -58,7 +58,7 @@ fn a_replay_leaves_every_answer_before_the_kill() {
 }
 
 #[test]
-fn a_study_leaves_every_run_before_the_kill() {
+fn a_killed_study_leaves_every_earlier_run() {
     const SCANS: usize = 100;
     let dir = TempDir::new().unwrap();
     let bag = dir.path().join("drive.bag");
@@ -81,7 +81,7 @@ fn a_study_leaves_every_run_before_the_kill() {
 }
 
 #[test]
-fn the_demo_controller_leaves_a_row_of_every_report_before_the_kill() {
+fn a_killed_demo_controller_leaves_a_row_for_every_earlier_report() {
     let Some(mut bench) = Bench::start(181) else { return };
     for round in 0..3 {
         let table = bench.graph.dir.path().join(format!("{round}.csv"));

@@ -1,11 +1,11 @@
-//! What the node takes of the machine, and what it shows of itself to the network.
+//! Resources that the node uses, and its exposure to the network.
 
 use std::collections::HashSet;
 use std::fs;
 
 use super::bench::Bench;
 
-/// Local addresses, as the kernel writes them, of the sockets that a process listens on.
+/// Local addresses, in the kernel's notation, of the sockets that a process listens on.
 fn listening_addresses(process: u32) -> Vec<String> {
     let links = fs::read_dir(format!("/proc/{process}/fd")).unwrap().filter_map(|file| fs::read_link(file.unwrap().path()).ok());
     let own: HashSet<String> =
@@ -21,7 +21,7 @@ fn listening_addresses(process: u32) -> Vec<String> {
 }
 
 #[test]
-fn on_localhost_nothing_listens_to_the_network() {
+fn on_localhost_all_sockets_listen_on_the_loopback_interface() {
     let Some(bench) = Bench::start(181) else { return };
     let addresses = listening_addresses(bench.node.id());
     assert!(addresses.len() > 5, "the test looks at the wrong sockets: {addresses:?}");
@@ -30,7 +30,7 @@ fn on_localhost_nothing_listens_to_the_network() {
 }
 
 #[test]
-fn a_drive_takes_little_memory_and_no_more_threads_or_files() {
+fn memory_threads_and_files_do_not_grow_during_a_drive() {
     let Some(mut bench) = Bench::start(1081) else { return };
     for _ in 0..100 {
         bench.step();
@@ -42,6 +42,6 @@ fn a_drive_takes_little_memory_and_no_more_threads_or_files() {
     let after = bench.resources();
     eprintln!("{before:?}, 1000 scans later {after:?}");
     assert!(after.memory < 30_000 && after.memory < before.memory + 2_000, "{before:?} {after:?}");
-    // A question to the master takes a file, for a moment.
+    // A call to the master briefly uses a file.
     assert!(after.threads <= before.threads + 1 && after.files <= before.files + 2, "{before:?} {after:?}");
 }

@@ -1,4 +1,4 @@
-//! A node in C++ to compare with.
+//! A C++ node for comparison.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -12,13 +12,13 @@ use crate::common::wire::Listener;
 const HEADER: &str = "/usr/include/ros/ros.h";
 const LIBRARIES: [&str; 5] = ["-lroscpp", "-lrosconsole", "-lroscpp_serialization", "-lrostime", "-lboost_thread"];
 
-/// The echo, which answers each scan with a pose.
+/// The echo node, which answers each scan with a pose.
 pub struct Echo {
     dir: TempDir,
 }
 
 impl Echo {
-    /// Compiles it. `None` where roscpp or a compiler is not installed.
+    /// Compiles it. `None` if roscpp or a compiler is not installed.
     pub fn compile() -> Option<Self> {
         if !installed("c++") {
             return None;
@@ -44,7 +44,7 @@ impl Echo {
         graph.spawn(self.program().to_str().unwrap(), &[])
     }
 
-    /// Somebody who hears it.
+    /// A subscriber to its poses.
     pub fn listener(graph: &Graph) -> Listener {
         Listener::of(graph, "/echo", "/echo")
     }

@@ -1,4 +1,4 @@
-//! A long drive with something wrong every few seconds.
+//! A long drive with a fault every few seconds.
 
 use std::io::Write;
 use std::net::Shutdown;
@@ -16,10 +16,10 @@ use crate::common::drive::LASER_IN_BASE;
 use crate::common::wire::{Listener, Publisher, connect, frame};
 
 const FAULTS: u32 = 7;
-/// Files that come and go: the master's three threads each keep a connection to the node, which takes two, and links end.
-const FILES_TO_AND_FRO: u64 = 8;
+/// Tolerated change of open files: each of the master's three threads keeps a connection to the node, which takes two, and connections end.
+const FILE_TOLERANCE: u64 = 8;
 
-/// One of the [`FAULTS`] things that go wrong.
+/// Injects one of the [`FAULTS`] faults.
 fn fault(kind: u32, bench: &mut Bench, rng: &mut Pcg64) {
     match kind {
         0 => {
@@ -53,7 +53,7 @@ fn fault(kind: u32, bench: &mut Bench, rng: &mut Pcg64) {
     }
 }
 
-/// Every answer is that of the application to which nothing happens, and the node grows by nothing.
+/// Checks that every answer equals that of an undisturbed application, and that the node does not grow.
 fn soak(scans: u32, fault_every: u32) {
     let Some(mut bench) = Bench::start(181) else { return };
     let mut config = Config::default();
@@ -75,11 +75,11 @@ fn soak(scans: u32, fault_every: u32) {
             early = Some(bench.resources());
         }
     }
-    std::thread::sleep(Duration::from_secs(2)); // links to those that left end
+    std::thread::sleep(Duration::from_secs(2)); // connections to peers that have left end
     let (early, late) = (early.unwrap(), bench.resources());
     eprintln!("{early:?}, at the end {late:?}");
     assert!(late.memory < early.memory + 2_000 && late.memory < 30_000, "{early:?} {late:?}");
-    assert!(late.threads <= early.threads + 4 && late.files <= early.files + FILES_TO_AND_FRO, "{early:?} {late:?}");
+    assert!(late.threads <= early.threads + 4 && late.files <= early.files + FILE_TOLERANCE, "{early:?} {late:?}");
 }
 
 #[test]

@@ -1,11 +1,11 @@
-//! A clock that somebody sets while the robot drives.
+//! A clock that is set while the robot drives.
 
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::Answering as _;
+use anytime_scan_matcher::app::ScanProcessor as _;
 use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
@@ -15,11 +15,11 @@ use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simula
 use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
 
-use super::{at_truth, take};
+use super::{at_truth, process};
 use crate::common::corridor;
 
-/// The greatest error of the position in the last half of the time after the clock was set by `step` seconds, m, and scans that were no
-/// evidence.
+/// The maximum position error in the second half of the time after the clock was set by `step` seconds, m, and the number of scans that were
+/// not used.
 fn driven_on(step: f64, with_odometry: bool) -> (f64, usize) {
     let mut settings = Settings::default();
     settings.drive.duration = Seconds(16.0);
@@ -27,7 +27,7 @@ fn driven_on(step: f64, with_odometry: bool) -> (f64, usize) {
     let mut config = Config::default();
     config.localization.particles = 1000;
     let mut localizer = Localizer::new(corridor(), &config, Arc::new(VirtualClock::new(Duration::ZERO))).unwrap();
-    let (mut truth, mut begin, mut worst, mut passed_over) = (Pose2::IDENTITY, None, 0.0_f64, 0);
+    let (mut truth, mut begin, mut worst, mut skipped) = (Pose2::IDENTITY, None, 0.0_f64, 0);
     let mut held = None::<(LaserScan, Pose2)>;
     simulate::<Infallible>(&settings, &Scene::in_map(corridor(), 4).unwrap(), |time, message| {
         let seconds = time.seconds_since(*begin.get_or_insert(time));
@@ -51,23 +51,23 @@ fn driven_on(step: f64, with_odometry: bool) -> (f64, usize) {
                 held = Some((scan, truth));
             }
         }
-        // As the node does, a scan is held until the odometry for it has come.
+        // As in the node, a scan waits until its odometry has arrived.
         let is_due = |localizer: &Localizer, scan: &LaserScan| localizer.wait_for_odometry(scan.header.stamp.into()).is_none();
         if let Some((scan, truth)) = held.take_if(|(scan, _)| is_due(&localizer, scan)) {
-            match take(&mut localizer, &scan) {
+            match process(&mut localizer, &scan) {
                 Ok(_) if seconds < 12.0 => {}
                 Ok(belief) => worst = worst.max(belief.map_from_base.between(&truth).distance()),
-                Err(_) => passed_over += 1,
+                Err(_) => skipped += 1,
             }
         }
         Ok(())
     })
     .unwrap();
-    (worst, passed_over)
+    (worst, skipped)
 }
 
 #[test]
-fn a_clock_that_is_set_in_mid_drive_leads_nowhere_else() {
+fn setting_the_clock_during_a_drive_does_no_harm() {
     for (step, with_odometry) in [
         (-0.6, true),
         (-0.9, true),
@@ -79,8 +79,8 @@ fn a_clock_that_is_set_in_mid_drive_leads_nowhere_else() {
         (0.9, false),
         (1.5, false),
     ] {
-        let (worst, passed_over) = driven_on(step, with_odometry);
-        eprintln!("clock set by {step} s, odometry: {with_odometry}: {worst:.3} m at most, {passed_over} scans passed over");
-        assert!(worst < 0.05 && passed_over <= 1, "{step} s, {with_odometry}: {worst} m, {passed_over} scans passed over");
+        let (worst, skipped) = driven_on(step, with_odometry);
+        eprintln!("clock set by {step} s, odometry: {with_odometry}: {worst:.3} m at most, {skipped} scans skipped");
+        assert!(worst < 0.05 && skipped <= 1, "{step} s, {with_odometry}: {worst} m, {skipped} scans skipped");
     }
 }

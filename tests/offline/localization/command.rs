@@ -1,4 +1,4 @@
-//! `anytime localize`: what it says of good and bad maps.
+//! `anytime localize`: its output for good and bad maps.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -15,7 +15,7 @@ fn localize(bag: &Path, map: &Path, more: &[&str]) -> Output {
     command.output().unwrap()
 }
 
-/// What is said of a case in the shipped corridor.
+/// The summary for a case in the shipped corridor.
 fn in_the_corridor(case: &str) -> Option<Value> {
     let bag = shared(&format!("cases/{case}.bag"))?;
     let truth = bag.with_file_name("truth").join("b270.tum");
@@ -25,7 +25,7 @@ fn in_the_corridor(case: &str) -> Option<Value> {
 }
 
 #[test]
-fn rays_that_saw_nothing_are_no_walls() {
+fn rays_without_a_return_are_not_walls() {
     let Some(summary) = in_the_corridor("k1_nothing_seen_is_range_max") else { return };
     assert!(summary["localized"] == 200 && summary["position_rmse_m"].as_f64().unwrap() <= 0.1, "{summary}");
 }
@@ -37,18 +37,18 @@ fn before_the_first_usable_scan_the_robot_moves_by_odometry() {
     assert!(summary["position_rmse_m"].as_f64().unwrap() <= 0.1, "{summary}");
 }
 
-/// Along a corridor whose walls say nothing of the way; the motion is that of matches to the scans before.
+/// Along a corridor whose walls do not constrain the motion; it is measured by matching with the scans before.
 #[test]
-fn by_scans_alone_the_robot_is_followed() {
+fn the_robot_is_tracked_by_scans_alone() {
     let more = ["--json", "--scan-only", "--truth", "bags/demo.tum"];
     let output = localize(Path::new("bags/demo.bag"), Path::new("maps/corridor.yaml"), &more);
     let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(summary["localized"] == 400 && summary["position_rmse_m"].as_f64().unwrap() <= 0.05, "{summary}");
-    assert!(summary["problems"].to_string().contains("match to the scans before"), "{summary}");
+    assert!(summary["problems"].to_string().contains("matching them to earlier scans"), "{summary}");
 }
 
 #[test]
-fn a_map_of_another_place_is_told_and_the_exit_code_is_1() {
+fn a_map_of_another_place_is_reported_with_exit_code_1() {
     let Some(map) = shared("data/maps/skirk.yaml") else { return };
     let files = tempfile::tempdir().unwrap();
     let csv = files.path().join("scans.csv");
@@ -57,8 +57,8 @@ fn a_map_of_another_place_is_told_and_the_exit_code_is_1() {
     assert_eq!(output.status.code(), Some(1));
     let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(summary["outcome"] == "not_localized" && summary["mean_explained"].as_f64().unwrap() < 0.5, "{summary}");
-    assert!(String::from_utf8_lossy(&output.stderr).contains("Is it the right map"), "{output:?}");
-    // What there is of figures is in the file all the same.
+    assert!(String::from_utf8_lossy(&output.stderr).contains("Check the map and its scale"), "{output:?}");
+    // The available figures are in the file nevertheless.
     let mut rows = csv::Reader::from_path(&csv).unwrap();
     let column = rows.headers().unwrap().iter().position(|name| name == "localized").unwrap();
     let localized: Vec<bool> = rows.records().map(|row| &row.unwrap()[column] == "true").collect();

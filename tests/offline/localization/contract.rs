@@ -1,12 +1,12 @@
-//! The time contract of the filter, on a clock on which every step costs exactly 10 us.
+//! The time contract of the filter, on a virtual clock on which every step costs exactly 10 us.
 
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::{Clock, VirtualClock};
-use anytime_scan_matcher::anytime::interrupt::Never;
-use anytime_scan_matcher::app::Answering as _;
+use anytime_scan_matcher::anytime::interrupt::NeverInterrupt;
+use anytime_scan_matcher::app::ScanProcessor as _;
 use anytime_scan_matcher::app::localizer::{Fix, Localizer};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
@@ -18,7 +18,7 @@ use anytime_scan_matcher::simulation::scene::Scene;
 use super::at_truth;
 use crate::common::corridor;
 
-/// A short drive under a configuration: every answer with its error, and the answers that were late.
+/// A short drive with a configuration: every answer with its error, and the number of late answers.
 fn drive(assignments: &[&str]) -> (Vec<(Fix, Pose2)>, u64) {
     let mut config = Config::default();
     for assignment in assignments {
@@ -41,9 +41,9 @@ fn drive(assignments: &[&str]) -> (Vec<(Fix, Pose2)>, u64) {
             }
             SimulatedMessage::Scan(scan) => {
                 let arrival = clock.now();
-                let mut fix = localizer.on_scan(&scan, arrival, &Never);
+                let mut fix = localizer.on_scan(&scan, arrival, &NeverInterrupt);
                 localizer.conclude(&mut fix);
-                localizer.maintain(&Never);
+                localizer.maintain(&NeverInterrupt);
                 let error = truth.unwrap_or_default().between(&fix.belief.as_ref().unwrap().map_from_base);
                 answers.push((fix, error));
             }
@@ -67,11 +67,11 @@ fn particles(answers: &[(Fix, Pose2)]) -> f64 {
 }
 
 #[test]
-fn no_answer_is_late_where_costs_are_known_and_more_time_takes_in_more() {
+fn no_answer_is_late_if_costs_are_known_and_more_time_allows_more_work() {
     let mut last = 0.0;
     for budget in [150, 200, 300, 1000] {
         let (answers, late) = drive(&[&format!("contract.time_budget={budget}us")]);
-        // Practice does not hand its answers on: what that costs, the first answer shows.
+        // The warm-up does not hand over its answers, so that this cost is only known after the first answer.
         assert!(answers[1..].iter().all(|(fix, _)| fix.overrun().is_zero()) && late <= 1, "{budget} us: {late} late");
         let work = beams(&answers) * particles(&answers);
         assert!(work >= last, "{budget} us: {work} rays after {last}");
@@ -84,7 +84,7 @@ fn no_answer_is_late_where_costs_are_known_and_more_time_takes_in_more() {
 }
 
 #[test]
-fn particles_are_given_up_where_not_even_a_part_of_the_beams_fits() {
+fn particles_are_dropped_if_not_even_a_fraction_of_the_beams_fits() {
     let (answers, _) = drive(&["contract.time_budget=100us"]);
     assert!(particles(&answers) < 3500.0, "{}", particles(&answers));
     let (answers, _) = drive(&["contract.time_budget=1ms"]);
@@ -102,14 +102,14 @@ fn without_time_the_answer_is_the_prediction_and_every_miss_is_counted() {
                 && fix.belief.as_ref().unwrap().beams == 0
         );
     }
-    // What had no time is taken in after the answer: the next prediction is the better for it.
+    // The rest is processed after the answer, which improves the next prediction.
     let (without, _) = drive(&["contract.time_budget=1us", "contract.finish_after_answer=false"]);
     let of = |answers: &[(Fix, Pose2)]| mean(answers, |(_, error)| error.distance());
     assert!(of(&answers) < 0.1 && of(&without) > 3.0 * of(&answers), "{} {}", of(&answers), of(&without));
 }
 
 #[test]
-fn an_error_bound_gives_time_back() {
+fn an_error_bound_saves_time() {
     let (bounded, _) = drive(&["contract.translation_error_bound=0.3", "contract.rotation_error_bound=0.2"]);
     let early = bounded.iter().filter(|(fix, _)| fix.stop_reason == Some(StopReason::ErrorBound)).count();
     assert!(early * 10 > bounded.len() * 8 && beams(&bounded) < 40.0, "{early} of {}, {} beams", bounded.len(), beams(&bounded));
@@ -117,7 +117,7 @@ fn an_error_bound_gives_time_back() {
 }
 
 #[test]
-fn contracts_are_kept_alike_on_any_number_of_threads() {
+fn contracts_are_kept_equally_on_any_number_of_threads() {
     let beliefs = |threads: &str| {
         let (answers, _) = drive(&["contract.time_budget=100us", threads]);
         answers.into_iter().map(|(fix, _)| fix.belief.unwrap()).collect::<Vec<_>>()

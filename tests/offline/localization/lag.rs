@@ -1,11 +1,11 @@
-//! Odometry whose stamps are not those of the scans: drivers stamp what they send at different times after it was measured.
+//! Odometry with a time offset to the scans, because drivers stamp messages at different times after the measurement.
 
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::Answering as _;
+use anytime_scan_matcher::app::ScanProcessor as _;
 use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
@@ -15,10 +15,10 @@ use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simula
 use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
 
-use super::{at_truth, take};
+use super::{at_truth, process};
 use crate::common::corridor;
 
-/// The messages of a drive in their order, when odometry is stamped, and comes, `late` seconds late.
+/// The messages of a drive in order, if odometry is stamped and arrives `late` seconds late.
 fn messages(late: f64) -> Vec<SimulatedMessage> {
     let mut settings = Settings::default();
     settings.drive.duration = Seconds(40.0);
@@ -38,8 +38,8 @@ fn messages(late: f64) -> Vec<SimulatedMessage> {
     messages.into_iter().map(|(_, message)| message).collect()
 }
 
-/// Root mean square of the position's error in the second half of the drive, m, after some turns, and the lag found, s. A scan waits for
-/// its odometry until the next one comes.
+/// RMS of the position error in the second half of the drive, m, after some turns, and the estimated lag, s. A scan waits for its odometry
+/// until the next scan arrives.
 fn localized(late: f64) -> (f64, f64) {
     let mut config = Config::default();
     config.localization.particles = 1000;
@@ -49,7 +49,7 @@ fn localized(late: f64) -> (f64, f64) {
         let is_scan = matches!(message, SimulatedMessage::Scan(_));
         let can_wait = |scan: &LaserScan, localizer: &Localizer| localizer.wait_for_odometry(scan.header.stamp.into()).is_some();
         if let Some((scan, truth)) = held.take_if(|(scan, _)| is_scan || !can_wait(scan, &localizer)) {
-            let error = take(&mut localizer, &scan).unwrap().map_from_base.between(&truth);
+            let error = process(&mut localizer, &scan).unwrap().map_from_base.between(&truth);
             errors.push(error.distance());
         }
         match message {
@@ -69,7 +69,7 @@ fn localized(late: f64) -> (f64, f64) {
 }
 
 #[test]
-fn odometry_that_is_stamped_early_or_late_is_as_good() {
+fn odometry_stamped_early_or_late_is_as_good() {
     let (in_time, _) = localized(0.0);
     for late in [-0.2, 0.2] {
         let (error, lag) = localized(late);

@@ -14,9 +14,9 @@ use std::time::{Duration, Instant};
 
 use crate::common::{corridor, shared};
 use anytime_scan_matcher::anytime::clock::{Clock, MonotonicClock};
-use anytime_scan_matcher::anytime::interrupt::{Never, Request};
-use anytime_scan_matcher::app::Answering as _;
-use anytime_scan_matcher::app::localizer::{Localizer, NoEvidence};
+use anytime_scan_matcher::anytime::interrupt::{InterruptRequest, NeverInterrupt};
+use anytime_scan_matcher::app::ScanProcessor as _;
+use anytime_scan_matcher::app::localizer::{Localizer, RejectedScan};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::evaluation::consistency::Consistency;
 use anytime_scan_matcher::geometry::Pose2;
@@ -34,14 +34,14 @@ fn map(name: &str) -> Option<OccupancyGrid> {
     Some(map_file::read(&shared(&format!("data/maps/{name}.yaml"))?).unwrap())
 }
 
-/// A drive: its messages are made as they are asked for.
+/// A drive, simulated message by message.
 struct Drive {
     seed: u32,
     seconds: f64,
     rate: f64,
 }
 
-/// What came of a drive.
+/// The results of a drive.
 #[derive(Default)]
 struct Outcome {
     /// For each scan the error of the belief, and the belief.
@@ -53,14 +53,14 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// Root mean square of the position's error, m, and of the heading's, deg, after the first `skip` scans.
+    /// RMS of the position error, m, and of the heading error, deg, after the first `skip` scans.
     fn rmse(&self, skip: usize) -> (f64, f64) {
         let errors: Vec<_> = self.answers.iter().skip(skip).map(|(error, _)| *error).collect();
         let root = |of: fn(&Pose2) -> f64| (errors.iter().map(|e| of(e).powi(2)).sum::<f64>() / errors.len() as f64).sqrt();
         (root(Pose2::distance), root(|error| error.theta.to_degrees()))
     }
 
-    /// How well the covariances hold.
+    /// Consistency of the covariances.
     fn consistency(&self, skip: usize) -> Consistency {
         let poses = self.answers.iter().skip(skip).map(|(error, belief)| {
             let Pose2 { x, y, theta } = belief.map_from_base;
@@ -75,24 +75,24 @@ impl Outcome {
         self.times[(self.times.len() - 1) * percent / 100]
     }
 
-    /// Whether the last second of the drive was spent where the robot was.
+    /// Whether the estimate was right during the last second of the drive.
     fn converged(&self, rate: f64) -> bool {
         let last = self.answers.len().saturating_sub(rate as usize);
         self.answers[last..].iter().all(|answer| is_right(answer) && answer.1.is_localized())
     }
 }
 
-/// Whether the robot is where it is believed to be.
+/// Whether the estimated pose is right.
 fn is_right((error, _): &(Pose2, Belief)) -> bool {
     error.distance() < 0.3 && error.theta.abs() < 0.1
 }
 
-/// Drives one after the other, between which the robot is carried off; `prepare` is called before the first scan.
+/// Runs drives one after the other, between which the robot is kidnapped; `prepare` is called before the first scan.
 fn run(map: &OccupancyGrid, drives: &[Drive], config: &Config, prepare: impl FnOnce(&mut Localizer, Pose2)) -> Outcome {
     run_in(map, map, drives, config, prepare)
 }
 
-/// The same in a world that need not be the map that the localizer has.
+/// The same in a world that may differ from the localizer's map.
 fn run_in(
     world: &OccupancyGrid,
     map: &OccupancyGrid,
@@ -110,7 +110,7 @@ fn run_in(
         settings.drive.seed = drive.seed;
         settings.lidar.rate = drive.rate;
         let (mut truth, mut last_truth) = (BTreeMap::new(), None::<Pose2>);
-        // As the node does, a scan is held until the odometry for it has come.
+        // As in the node, a scan waits until its odometry has arrived.
         let mut held: Option<LaserScan> = None;
         simulate::<Infallible>(&settings, &scene, |_, message| {
             match message {
@@ -134,7 +134,7 @@ fn run_in(
             }
             if let Some(scan) = held.take_if(|scan| localizer.wait_for_odometry(scan.header.stamp.into()).is_none()) {
                 let (start, rays) = (Instant::now(), localizer.filter().rays_cast());
-                let belief = take(&mut localizer, &scan).unwrap();
+                let belief = process(&mut localizer, &scan).unwrap();
                 outcome.times.push(start.elapsed());
                 outcome.rays.push(localizer.filter().rays_cast() - rays);
                 let true_pose = truth[&scan.header.stamp.into()];
@@ -149,16 +149,16 @@ fn run_in(
     outcome
 }
 
-/// The clock, which no answer depends on.
+/// A clock; the answers do not depend on it.
 fn clock() -> Arc<dyn Clock> {
     Arc::new(MonotonicClock::default())
 }
 
-/// Takes in a scan, and does the work that follows.
-fn take(localizer: &mut Localizer, scan: &LaserScan) -> Result<Belief, NoEvidence> {
-    let mut fix = localizer.on_scan(scan, Duration::ZERO, &Never);
+/// Processes a scan, including the work after the answer.
+fn process(localizer: &mut Localizer, scan: &LaserScan) -> Result<Belief, RejectedScan> {
+    let mut fix = localizer.on_scan(scan, Duration::ZERO, &NeverInterrupt);
     localizer.conclude(&mut fix);
-    localizer.maintain(&Never);
+    localizer.maintain(&NeverInterrupt);
     fix.belief
 }
 
@@ -166,7 +166,7 @@ fn at_truth(localizer: &mut Localizer, pose: Pose2) {
     localizer.start_at(&(pose * Pose2::new(0.1, -0.1, 0.05)), None);
 }
 
-/// `most`: errors, m and deg.
+/// Checks that drives are tracked with errors of at most `most`, m and deg.
 fn tracks(map: &OccupancyGrid, name: &str, (seconds, metres): (f64, f64), threads: u32, most: (f64, f64)) {
     let mut config = Config::default();
     config.localization.threads = threads;
@@ -190,7 +190,7 @@ fn a_drive_is_tracked() {
 }
 
 #[test]
-fn the_map_may_be_turned_and_its_cells_of_any_size() {
+fn the_map_may_be_rotated_and_have_any_resolution() {
     let grid = corridor();
     let turned = OccupancyGrid::new(grid.width(), 0.06, Pose2::new(7.0, -3.0, 2.0), grid.cells().to_vec()).unwrap();
     let outcome = run(&turned, &[Drive { seed: 3, seconds: 8.0, rate: 20.0 }], &Config::default(), at_truth);
@@ -201,7 +201,7 @@ fn the_map_may_be_turned_and_its_cells_of_any_size() {
 #[test]
 #[ignore = "half a minute for each map"]
 fn long_drives_on_real_maps_are_tracked() {
-    // A fifth more than docs/localization.md states.
+    // A fifth above the figures of docs/localization.md.
     for (name, most) in [("levine", (0.018, 0.216)), ("columbia", (0.0156, 0.276)), ("skirk", (0.0108, 0.192))] {
         let Some(map) = map(name) else { return };
         tracks(&map, name, (85.0, 200.0), 1, most);
@@ -222,11 +222,11 @@ fn the_same_seed_gives_the_same_belief_on_any_number_of_threads() {
     assert!(one != beliefs(1, 2));
 }
 
-/// Tries from global uncertainty.
+/// Results of global localization trials.
 struct Tries {
-    /// The share that end at the robot.
+    /// Fraction of the trials that end at the robot.
     found: f64,
-    /// The share of all answers that claim to know where the robot is, and are wrong.
+    /// Fraction of all answers that report a wrong pose as localized.
     false_claims: f64,
 }
 
@@ -251,7 +251,7 @@ fn search(map: &OccupancyGrid, name: &str, tries: u32, seconds: f64, rate: f64) 
     let tries = Tries { found: f64::from(found) / f64::from(tries), false_claims: claims as f64 / answers as f64 };
     let median = waits[waits.len() / 2];
     eprintln!(
-        "{name}: {found} of {} tries found the robot within {seconds} s, half of them within {median} s; false claims in {:.2} % of the answers",
+        "{name}: {found} of {} trials found the robot within {seconds} s, half of them within {median} s; false claims in {:.2} % of the answers",
         waits.len(),
         100.0 * tries.false_claims
     );
@@ -271,7 +271,7 @@ fn the_robot_is_found_on_real_maps() {
     assert!(all.iter().all(|tries| tries.found >= 0.95 && tries.false_claims < 0.01));
 }
 
-/// The first scans of a drive through the corridor, and where it begins.
+/// The first scans of a drive through the corridor, and its start pose.
 fn three_scans() -> (Vec<LaserScan>, Pose2) {
     let (mut scans, mut start) = (Vec::new(), None);
     simulate::<()>(&Settings::default(), &Scene::in_map(corridor(), 1).unwrap(), |_, message| match message {
@@ -290,14 +290,14 @@ fn three_scans() -> (Vec<LaserScan>, Pose2) {
 }
 
 #[test]
-fn who_calls_has_the_answer_before_any_beam_and_the_scan_is_taken_in_later() {
+fn an_interrupt_is_answered_at_once_and_the_scan_is_used_later() {
     let mut localizer = Localizer::new(corridor(), &Config::default(), clock()).unwrap();
-    let ((scans, start), request) = (three_scans(), Request::default());
+    let ((scans, start), request) = (three_scans(), InterruptRequest::default());
     localizer.start_at(&start, None);
     let mut answer = |scan: &LaserScan| {
         let mut fix = localizer.on_scan(scan, Duration::ZERO, &request);
         localizer.conclude(&mut fix);
-        localizer.maintain(&Never);
+        localizer.maintain(&NeverInterrupt);
         (fix.stop_reason, fix.belief.unwrap())
     };
     request.make();
@@ -307,22 +307,22 @@ fn who_calls_has_the_answer_before_any_beam_and_the_scan_is_taken_in_later() {
     let (reason, free) = answer(&scans[1]);
     assert_eq!((reason, free.beams), (Some(StopReason::Converged), 60));
     let [free, called] = [free, called].map(|belief| belief.covariance.m11 + belief.covariance.m22);
-    assert!(free < 0.5 * called, "the first scan left its trace: {free} after {called} m^2");
+    assert!(free < 0.5 * called, "the first scan must have narrowed the cloud: {free} after {called} m^2");
 }
 
 #[test]
-fn nothing_is_evidence_twice_and_bad_scans_change_nothing() {
+fn no_scan_is_used_twice_and_bad_scans_change_nothing() {
     let mut localizer = Localizer::new(corridor(), &Config::default(), clock()).unwrap();
     let (scans, _) = three_scans();
-    take(&mut localizer, &scans[1]).unwrap();
+    process(&mut localizer, &scans[1]).unwrap();
     let poses: Vec<_> = localizer.filter().poses().collect();
-    assert_eq!(take(&mut localizer, &scans[1]), Err(NoEvidence::NotNewer));
-    assert_eq!(take(&mut localizer, &scans[0]), Err(NoEvidence::NotNewer));
+    assert_eq!(process(&mut localizer, &scans[1]), Err(RejectedScan::NotNewer));
+    assert_eq!(process(&mut localizer, &scans[0]), Err(RejectedScan::NotNewer));
     let mut broken = scans[2].clone();
     broken.ranges.truncate(5);
-    assert!(matches!(take(&mut localizer, &broken), Err(NoEvidence::Unusable(_))));
+    assert!(matches!(process(&mut localizer, &broken), Err(RejectedScan::Unusable(_))));
     assert!(poses.iter().eq(localizer.filter().poses().collect::<Vec<_>>().iter()));
-    // Outside the map nothing can be said, and nothing breaks.
+    // Outside the map nothing can be estimated, and nothing fails.
     localizer.start_at(&Pose2::new(1e4, -1e4, 0.0), None);
-    assert!(take(&mut localizer, &scans[2]).unwrap().map_from_base.is_finite());
+    assert!(process(&mut localizer, &scans[2]).unwrap().map_from_base.is_finite());
 }

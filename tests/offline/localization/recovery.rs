@@ -1,4 +1,4 @@
-//! What a filter does where scans fit worse: it looks elsewhere, little by little, and gives nothing up before it knows better.
+//! How a filter recovers if scans fit worse: it searches elsewhere, step by step, and keeps its estimate until it finds a better one.
 
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
@@ -7,7 +7,7 @@ use anytime_scan_matcher::map::grid::{Cell, OccupancyGrid};
 use super::{Drive, Outcome, at_truth, map, run};
 use crate::common::corridor;
 
-/// Rays of a second of searching, and of a step that is begun when almost all have been cast.
+/// Rays per second of a search, and of a step that begins when almost all of them have been cast.
 const SEARCH: f64 = 10e6 + 40.0 * 4.0 * 256.0 * 60.0;
 
 fn config(particles: u32) -> Config {
@@ -16,7 +16,7 @@ fn config(particles: u32) -> Config {
     config
 }
 
-/// No update took more work than a cloud of `particles`, and what is searched in a scan's period.
+/// Checks that no update took more work than a cloud of `particles` plus the search within a scan's period.
 fn assert_bounded(outcome: &Outcome, particles: u32, rate: f64) {
     let most = u64::from(particles * 60) + (SEARCH / rate) as u64;
     assert!(outcome.rays.iter().all(|&rays| rays <= most), "{:?} of {most}", outcome.rays.iter().max());
@@ -30,7 +30,7 @@ fn a_pose_that_explains_the_scans_is_never_given_up() {
         localizer.start_at(&pose, None);
     });
     assert!(outcome.answers.iter().all(|(error, belief)| belief.is_localized() && error.distance() < 0.3));
-    assert!(outcome.rays.iter().all(|&rays| rays <= 2000 * 60), "nobody was looked for: {:?}", outcome.rays.iter().max());
+    assert!(outcome.rays.iter().all(|&rays| rays <= 2000 * 60), "there must be no search: {:?}", outcome.rays.iter().max());
 }
 
 #[test]
@@ -43,11 +43,11 @@ fn a_kidnapped_robot_is_found_again() {
     assert!(outcome.converged(rate), "{:?}", outcome.answers.last());
     assert_bounded(&outcome, 4000, rate);
     let claims = outcome.answers[205..].iter().filter(|answer| answer.1.is_localized() && !super::is_right(answer)).count();
-    assert!(claims < 50, "in {claims} answers the place of before was claimed");
+    assert!(claims < 50, "{claims} answers reported the old pose");
 }
 
 #[test]
-fn a_search_from_anywhere_is_spread_over_updates() {
+fn a_global_search_is_spread_over_updates() {
     let mut settings = config(1000);
     settings.localization.global_particles = 50_000;
     for rate in [10.0, 40.0] {
@@ -58,7 +58,7 @@ fn a_search_from_anywhere_is_spread_over_updates() {
     }
 }
 
-/// The map, in which somebody has moved into every third stretch of the walls.
+/// The map with furniture along every third stretch of the walls.
 fn furnished(map: &OccupancyGrid) -> OccupancyGrid {
     let (width, height) = (map.width(), map.height());
     let near_wall = |i: usize| {
@@ -73,8 +73,8 @@ fn furnished(map: &OccupancyGrid) -> OccupancyGrid {
 }
 
 #[test]
-fn furniture_that_the_map_does_not_have_moves_nobody_elsewhere() {
-    // The car drives where the furniture stands, as far as walls allow it; the filter has the bare map.
+fn unmapped_furniture_does_not_move_the_estimate() {
+    // The car drives in the furnished world; the filter has the bare map.
     let drive = Drive { seed: 3, seconds: 15.0, rate: 20.0 };
     let outcome = super::run_in(&furnished(&corridor()), &corridor(), &[drive], &config(2000), at_truth);
     assert!(outcome.answers.iter().skip(20).all(|(error, _)| error.distance() < 0.4), "{:?}", outcome.rmse(20));

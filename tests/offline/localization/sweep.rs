@@ -1,4 +1,4 @@
-//! Scans whose rays are taken one after the other.
+//! Scans whose rays are measured one after the other.
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::Answering as _;
+use anytime_scan_matcher::app::ScanProcessor as _;
 use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::knobs::Seconds;
@@ -14,10 +14,10 @@ use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simula
 use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
 
-use super::{at_truth, take};
+use super::{at_truth, process};
 use crate::common::corridor;
 
-/// Root mean square of the position's error at 7 m/s and 45 ms a sweep, m.
+/// RMS of the position error at 7 m/s with sweeps of 45 ms, m.
 fn rmse(deskew: bool) -> f64 {
     let mut settings = Settings::default();
     (settings.drive.duration, settings.vehicle.speed) = (Seconds(10.0), 7.0);
@@ -37,8 +37,8 @@ fn rmse(deskew: bool) -> f64 {
                 truth.insert(stamp, map_from_base);
             }
             SimulatedMessage::Scan(scan) => {
-                let belief = take(&mut localizer, &scan).unwrap();
-                // The message comes with the last ray, and is of the first.
+                let belief = process(&mut localizer, &scan).unwrap();
+                // The message arrives with the last ray, and is stamped with the first.
                 let (_, then) = truth.range(..=Stamp::from(scan.header.stamp)).next_back().unwrap();
                 errors.push(belief.map_from_base.between(then).distance().powi(2));
             }
@@ -51,7 +51,7 @@ fn rmse(deskew: bool) -> f64 {
 
 #[test]
 fn the_motion_during_a_sweep_does_not_shift_the_pose() {
-    let (straightened, as_it_came) = (rmse(true), rmse(false));
-    eprintln!("{straightened:.3} m, without deskewing {as_it_came:.3} m");
-    assert!(straightened < 0.05 && straightened < 0.6 * as_it_came, "{straightened} m, without {as_it_came} m");
+    let (deskewed, raw) = (rmse(true), rmse(false));
+    eprintln!("{deskewed:.3} m, without deskewing {raw:.3} m");
+    assert!(deskewed < 0.05 && deskewed < 0.6 * raw, "{deskewed} m, without {raw} m");
 }

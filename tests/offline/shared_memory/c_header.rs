@@ -1,4 +1,4 @@
-//! The header, by a program in C, compiled as C and as C++.
+//! Tests the header with a C program, compiled as C and as C++.
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader};
@@ -15,7 +15,7 @@ use super::node::{unique, work};
 
 const HANDSHAKES: u32 = 5_000;
 
-/// Compiles the program; `false` when there is no compiler.
+/// Compiles the program; `false` if there is no compiler.
 fn compile(compiler: &str, language: &[&str], program: &Path) -> bool {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let output = Command::new(compiler)
@@ -35,7 +35,7 @@ fn compile(compiler: &str, language: &[&str], program: &Path) -> bool {
     true
 }
 
-/// What lies where, by the Rust side.
+/// Offsets and sizes on the Rust side.
 fn layout() -> HashMap<String, u64> {
     let offset = |name: &str, offset: usize| (name.to_owned(), offset as u64);
     HashMap::from([
@@ -64,7 +64,7 @@ fn layout() -> HashMap<String, u64> {
     ])
 }
 
-/// Runs the program against a node; what it says, and the number of estimates there were.
+/// Runs the program against a node; returns its output, and the number of estimates published.
 fn run(program: &Path, segment: &str) -> (HashMap<String, u64>, u32) {
     let responder = Responder::create(segment).unwrap();
     let mut child = Command::new(program)
@@ -73,7 +73,7 @@ fn run(program: &Path, segment: &str) -> (HashMap<String, u64>, u32) {
         .stderr(Stdio::inherit())
         .spawn()
         .unwrap();
-    let mut said = HashMap::new();
+    let mut reported = HashMap::new();
     let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(|line| {
         let line = line.unwrap();
         let (name, value) = line.split_once(' ').unwrap();
@@ -82,26 +82,26 @@ fn run(program: &Path, segment: &str) -> (HashMap<String, u64>, u32) {
     let stop = AtomicBool::new(false);
     let published = thread::scope(|scope| {
         let node = scope.spawn(|| work(&responder, 4, &stop));
-        said.extend(lines.by_ref().take_while(|(name, _)| name != "handshakes_done"));
+        reported.extend(lines.by_ref().take_while(|(name, _)| name != "handshakes_done"));
         stop.store(true, Ordering::Relaxed);
         node.join().unwrap()
     });
     drop(responder);
-    said.extend(lines);
+    reported.extend(lines);
     assert!(child.wait().unwrap().success());
-    (said, published)
+    (reported, published)
 }
 
 #[test]
-fn a_controller_in_c_or_cpp_shakes_hands_with_the_node() {
+fn a_controller_in_c_or_cpp_works_with_the_node() {
     let folder = tempfile::tempdir().unwrap();
     for (compiler, language) in [("cc", ["-x", "c", "-std=c11"]), ("c++", ["-x", "c++", "-std=c++11"])] {
         let program = folder.path().join(compiler);
         if compile(compiler, &language, &program) {
-            let (said, published) = run(&program, &unique(&format!("in_{}", compiler.replace('+', "p"))));
+            let (reported, published) = run(&program, &unique(&format!("in_{}", compiler.replace('+', "p"))));
             let mut expected = layout();
             expected.insert("edges".into(), published.into());
-            assert_eq!(said, expected);
+            assert_eq!(reported, expected);
         }
     }
 }

@@ -1,11 +1,11 @@
-/* A controller in C, or C++: says what lies where, makes handshakes, counts edges until the node closes the segment. */
+/* A controller in C or C++: prints the memory layout, makes handshakes, counts edges until the node closes the segment. */
 #include <anytime_scan_matcher/shared_memory.h>
 
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 
-#define PATIENCE INT64_C(60000000000)
+#define TIMEOUT INT64_C(60000000000)
 #define OFFSET(field) printf(#field " %zu\n", offsetof(struct anytime_segment, field))
 
 static void require(int condition, const char *what, uint32_t number) {
@@ -40,7 +40,7 @@ static void print_layout(void) {
   OFFSET(elapsed_nanoseconds);
 }
 
-/* Every field follows from the number. */
+/* Checks that every field is derived from the number. */
 static void require_whole(const struct anytime_estimate *e) {
   const double value = e->number;
   const unsigned flags = ANYTIME_PRESENT | (e->number % 2 == 0 ? ANYTIME_MATCHED : 0) |
@@ -65,7 +65,7 @@ int main(int argc, char **argv) {
     before = anytime_completed(&client);
     request = anytime_request(&client);
     require(request == i, "a request of somebody else", request);
-    status = anytime_wait_for_answer(&client, request, PATIENCE, &estimate);
+    status = anytime_wait_for_answer(&client, request, TIMEOUT, &estimate);
     if (status == ANYTIME_NO_ESTIMATE && before == 0) continue;
     require_ok(status, request);
     require_whole(&estimate);
@@ -76,7 +76,7 @@ int main(int argc, char **argv) {
   fflush(stdout);
   for (;;) {
     before = seen;
-    status = anytime_wait_for_completion(&client, &seen, PATIENCE);
+    status = anytime_wait_for_completion(&client, &seen, TIMEOUT);
     edges += seen - before;
     if (status == ANYTIME_CLOSED) break;
     require_ok(status, seen);

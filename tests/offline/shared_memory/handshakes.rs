@@ -10,9 +10,9 @@ use anytime_scan_matcher::shared_memory::{Client, Counts, Problem, Responder};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
-use super::node::{PATIENCE, assert_whole, dawdle, estimate, unique, work};
+use super::node::{TIMEOUT, assert_whole, estimate, pause_randomly, unique, work};
 
-/// Ends the node's work when the controllers are through, also when one of them fails.
+/// Stops the node when the controllers are done, even if one of them fails.
 struct StopAtEnd<'a>(&'a AtomicBool);
 
 impl Drop for StopAtEnd<'_> {
@@ -21,18 +21,18 @@ impl Drop for StopAtEnd<'_> {
     }
 }
 
-/// Makes `count` requests, and checks each answer; their numbers.
-fn ask(client: &Client, count: u32, seed: u64) -> Vec<u32> {
+/// Makes `count` requests and checks each answer; returns the numbers of the answers.
+fn make_requests(client: &Client, count: u32, seed: u64) -> Vec<u32> {
     let mut rng = Pcg64::seed_from_u64(seed);
     let ask_once = |_| {
-        dawdle(&mut rng, 20);
+        pause_randomly(&mut rng, 20);
         let completed_before = client.counts().completed;
         let request = client.request();
-        let answer = client.wait_for_answer(request, PATIENCE).unwrap();
+        let answer = client.wait_for_answer(request, TIMEOUT).unwrap();
         if let Some(answer) = answer {
             assert_whole(&answer);
         }
-        // Nothing older than what was there when the request was made.
+        // Never older than the newest estimate at the time of the request.
         assert!(answer.map_or(0, |answer| answer.number) >= completed_before);
         request.0
     };
@@ -43,7 +43,7 @@ fn ask(client: &Client, count: u32, seed: u64) -> Vec<u32> {
 fn count_edges(client: &Client) -> u32 {
     let (mut seen, mut edges) = (0, 0);
     loop {
-        match client.wait_for_completion(seen, PATIENCE) {
+        match client.wait_for_completion(seen, TIMEOUT) {
             Ok(completed) => {
                 edges += completed.wrapping_sub(seen);
                 seen = completed;
@@ -55,7 +55,7 @@ fn count_edges(client: &Client) -> u32 {
 }
 
 #[test]
-fn of_100_000_requests_none_is_lost_and_none_answered_twice() {
+fn no_request_of_100_000_is_lost_or_answered_twice() {
     const REQUESTS: u32 = 100_000;
     let responder = Responder::create(&unique("handshakes")).unwrap();
     let client = Client::open(responder.name()).unwrap();
@@ -63,7 +63,7 @@ fn of_100_000_requests_none_is_lost_and_none_answered_twice() {
     let (numbers, published) = thread::scope(|scope| {
         let node = scope.spawn(|| work(&responder, 1, &stop));
         let end = StopAtEnd(&stop);
-        let numbers = ask(&client, REQUESTS, 2);
+        let numbers = make_requests(&client, REQUESTS, 2);
         drop(end);
         (numbers, node.join().unwrap())
     });
@@ -86,7 +86,7 @@ fn several_controllers_share_the_count_and_every_edge_is_seen() {
         let node = scope.spawn(move || work(&responder, 3, node_stop)); // and closes the segment
         let edges = scope.spawn(|| count_edges(&counting));
         let asking: Vec<_> =
-            clients.iter().zip(4..).map(|(client, seed)| scope.spawn(move || ask(client, REQUESTS, seed))).collect();
+            clients.iter().zip(4..).map(|(client, seed)| scope.spawn(move || make_requests(client, REQUESTS, seed))).collect();
         let numbers: HashSet<u32> = asking.into_iter().flat_map(|client| client.join().unwrap()).collect();
         drop(end);
         let (requests, published) = (CLIENTS * REQUESTS, node.join().unwrap());
@@ -96,10 +96,10 @@ fn several_controllers_share_the_count_and_every_edge_is_seen() {
     });
 }
 
-/// One scan and one request a round, at random times to each other: a request that falls between the two answers is never made good
-/// by a later scan.
+/// One scan and one request per round, with random timing: a request that were lost between the two answers would never be answered by a later
+/// scan.
 #[test]
-fn no_request_falls_between_a_scan_s_answer_and_idleness() {
+fn no_request_is_lost_between_an_answer_and_idleness() {
     const ROUNDS: u32 = 30_000;
     let responder = Responder::create(&unique("rounds")).unwrap();
     let client = Client::open(responder.name()).unwrap();
@@ -110,15 +110,15 @@ fn no_request_falls_between_a_scan_s_answer_and_idleness() {
             let mut rng = Pcg64::seed_from_u64(5);
             for number in started {
                 responder.begin();
-                dawdle(&mut rng, 20);
+                pause_randomly(&mut rng, 20);
                 responder.publish(&estimate(number));
             }
         });
         let mut rng = Pcg64::seed_from_u64(6);
         for round in 1..=ROUNDS {
             start.send(round).unwrap();
-            dawdle(&mut rng, 40);
-            let answer = client.wait_for_answer(client.request(), PATIENCE).unwrap();
+            pause_randomly(&mut rng, 40);
+            let answer = client.wait_for_answer(client.request(), TIMEOUT).unwrap();
             assert!(answer.is_none_or(|answer| answer.number <= round), "an answer from the future");
             assert_eq!(client.counts().acknowledged, round);
         }
@@ -134,15 +134,15 @@ fn an_idle_node_answers_every_request() {
     let clients = [(); 2].map(|()| Client::open(responder.name()).unwrap());
     thread::scope(|scope| {
         for (client, seed) in clients.iter().zip(7..) {
-            scope.spawn(move || ask(client, REQUESTS, seed));
+            scope.spawn(move || make_requests(client, REQUESTS, seed));
         }
     });
     assert_eq!(clients[0].counts(), Counts { acknowledged: 2 * REQUESTS, requested: 2 * REQUESTS, completed: 0 });
 }
 
-/// The request before each scan wakes the node's watcher, which may find the scan begun by the time it gets to look.
+/// The request before each scan wakes the node's watcher, which may run only after the scan has begun.
 #[test]
-fn a_request_for_a_scan_is_answered_by_no_older_one() {
+fn a_request_during_a_scan_is_not_answered_by_an_older_one() {
     const SCANS: u32 = 10_000;
     let responder = Responder::create(&unique("older")).unwrap();
     let client = Client::open(responder.name()).unwrap();
@@ -151,7 +151,7 @@ fn a_request_for_a_scan_is_answered_by_no_older_one() {
         let client = &client;
         scope.spawn(move || {
             for () in begun {
-                answer.send(client.wait_for_answer(client.request(), PATIENCE).unwrap()).unwrap();
+                answer.send(client.wait_for_answer(client.request(), TIMEOUT).unwrap()).unwrap();
             }
         });
         for scan in 1..=SCANS {
@@ -171,26 +171,26 @@ fn a_request_for_a_scan_is_answered_by_no_older_one() {
 }
 
 #[test]
-fn a_request_during_a_scan_waits_for_that_scan_and_one_before_does_not() {
+fn a_request_during_a_scan_waits_for_that_scan_but_an_earlier_one_does_not() {
     let responder = Responder::create(&unique("phases")).unwrap();
     let client = Client::open(responder.name()).unwrap();
     responder.publish(&estimate(1));
-    let idle = client.wait_for_answer(client.request(), PATIENCE).unwrap().unwrap();
+    let idle = client.wait_for_answer(client.request(), TIMEOUT).unwrap().unwrap();
     assert_eq!((idle.number, responder.is_requested()), (1, false));
 
     responder.begin();
-    assert!(!responder.is_requested(), "nothing has been asked of this scan yet");
+    assert!(!responder.is_requested(), "there is no request for this scan yet");
     let request = client.request();
     assert!(responder.is_requested());
     let early = client.wait_for_answer(request, Duration::from_millis(20)).unwrap_err();
     assert!(matches!(early.problem, Problem::TimedOut { .. }), "{early}");
     assert_eq!(responder.publish(&estimate(2)), 2);
     assert!(!responder.is_requested());
-    assert_eq!(client.wait_for_answer(request, PATIENCE).unwrap().unwrap().number, 2);
+    assert_eq!(client.wait_for_answer(request, TIMEOUT).unwrap().unwrap().number, 2);
 
     responder.begin();
     let late = client.request();
-    responder.begin(); // the next scan: what was asked before it is answered
-    assert_eq!(client.wait_for_answer(late, PATIENCE).unwrap().unwrap().number, 2);
+    responder.begin(); // the next scan: earlier requests are answered
+    assert_eq!(client.wait_for_answer(late, TIMEOUT).unwrap().unwrap().number, 2);
     assert_eq!(client.counts(), Counts { acknowledged: 3, requested: 3, completed: 2 });
 }

@@ -1,5 +1,5 @@
-//! The shared memory between the node and a controller: handshakes under random timing, peers that die, segments that are not one,
-//! and the C header.
+//! The shared memory between the node and a controller: handshakes with random timing, peers that die, invalid segments, and the C
+//! header.
 
 mod c_header;
 mod handshakes;

@@ -12,20 +12,20 @@ use anytime_scan_matcher::time::Stamp;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-/// Far beyond what a loaded machine needs: who waits this long waits in vain.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+/// Timeout of waits, far longer than a loaded machine needs.
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// A name that no other test, and no other run of the tests, uses.
+/// A segment name that no other test or test run uses.
 pub(crate) fn unique(test: &str) -> String {
     format!("/anytime_scan_matcher_{test}_{}", std::process::id())
 }
 
-/// The file that the segment `name` is.
+/// The file of the segment `name`.
 pub(crate) fn file_of(name: &str) -> PathBuf {
     PathBuf::from(format!("/dev/shm{name}"))
 }
 
-/// The estimate with the number `number`: every field follows from it.
+/// The estimate with this number, from which every field is derived.
 pub(crate) fn estimate(number: u32) -> SharedEstimate {
     let value = f64::from(number);
     SharedEstimate {
@@ -40,13 +40,13 @@ pub(crate) fn estimate(number: u32) -> SharedEstimate {
     }
 }
 
-/// Fails unless all fields are those of one and the same estimate.
+/// Checks that all fields belong to the same estimate.
 pub(crate) fn assert_whole(completed: &CompletedEstimate) {
     assert_eq!(completed.estimate, estimate(completed.number));
 }
 
-/// Lets up to `longest_us` microseconds pass: mostly at work, sometimes asleep.
-pub(crate) fn dawdle(rng: &mut Pcg64, longest_us: u64) {
+/// Lets up to `longest_us` microseconds pass, mostly spinning, sometimes asleep.
+pub(crate) fn pause_randomly(rng: &mut Pcg64, longest_us: u64) {
     if rng.random_bool(0.02) {
         thread::sleep(Duration::from_micros(longest_us));
         return;
@@ -57,17 +57,17 @@ pub(crate) fn dawdle(rng: &mut Pcg64, longest_us: u64) {
     }
 }
 
-/// Works on scans until told to stop, with random pauses between; the number of estimates published.
+/// Works on scans until told to stop, with random pauses; returns the number of estimates published.
 pub(crate) fn work(responder: &Responder, seed: u64, stop: &AtomicBool) -> u32 {
     let mut rng = Pcg64::seed_from_u64(seed);
     let mut published = 0;
     while !stop.load(Ordering::Relaxed) {
         if rng.random_bool(0.5) {
-            dawdle(&mut rng, 20);
+            pause_randomly(&mut rng, 20);
         }
         responder.begin();
         for _ in 0..rng.random_range(0..20) {
-            dawdle(&mut rng, 5);
+            pause_randomly(&mut rng, 5);
             if responder.is_requested() {
                 break;
             }

@@ -9,16 +9,16 @@ use std::time::Duration;
 
 use anytime_scan_matcher::shared_memory::{Client, Problem, Responder};
 
-use super::node::{PATIENCE, assert_whole, estimate, file_of, unique};
+use super::node::{TIMEOUT, assert_whole, estimate, file_of, unique};
 
 const ROLE: &str = "ANYTIME_TEST_ROLE";
 const NAME: &str = "ANYTIME_TEST_SEGMENT";
 
-/// This program as another process, which plays one of the roles below.
+/// This test program as another process, in one of the roles below.
 struct Peer(Child);
 
 impl Peer {
-    /// Starts it, and waits until it is ready.
+    /// Starts it and waits until it is ready.
     fn start(role: &str, name: &str) -> Self {
         let mut child = Command::new(env::current_exe().unwrap())
             .args(["shared_memory::peers::role", "--exact", "--nocapture"])
@@ -38,7 +38,7 @@ impl Peer {
     }
 }
 
-/// The death that no handler sees.
+/// Kills the process with SIGKILL, which no handler can catch.
 impl Drop for Peer {
     fn drop(&mut self) {
         self.0.kill().unwrap();
@@ -46,7 +46,7 @@ impl Drop for Peer {
     }
 }
 
-/// Not a test by itself: what the other processes do until they are killed.
+/// Not a test: the work of the other processes until they are killed.
 #[test]
 fn role() {
     let Ok(role) = env::var(ROLE) else { return };
@@ -65,36 +65,36 @@ fn role() {
             Client::open(&name).unwrap().request();
             wait_for_death();
         }
-        other => panic!("{other} is no role"),
+        other => panic!("{other} is not a role"),
     }
 }
 
 fn wait_for_death() {
     eprintln!("ready");
-    thread::sleep(2 * PATIENCE);
+    thread::sleep(2 * TIMEOUT);
 }
 
 #[test]
-fn the_place_of_a_dead_node_is_taken_and_that_of_a_living_one_is_not() {
+fn the_segment_of_a_dead_node_is_taken_over_and_that_of_a_living_one_is_not() {
     let name = unique("stale");
     let node = Peer::start("idle node", &name);
     let client = Client::open(&name).unwrap();
     let refused = Responder::create(&name).unwrap_err();
-    assert!(matches!(refused.problem, Problem::Owned { owner } if owner == node.id()), "{refused}");
+    assert!(matches!(refused.problem, Problem::InUse { owner } if owner == node.id()), "{refused}");
     let dead = node.id();
     drop(node);
-    for error in [Client::open(&name).unwrap_err(), client.wait_for_completion(0, PATIENCE).unwrap_err()] {
+    for error in [Client::open(&name).unwrap_err(), client.wait_for_completion(0, TIMEOUT).unwrap_err()] {
         assert!(matches!(error.problem, Problem::OwnerDied { owner } if owner == dead), "{error}");
     }
     let successor = Responder::create(&name).unwrap();
     successor.publish(&estimate(1));
     assert_eq!(Client::open(&name).unwrap().latest().unwrap().unwrap().number, 1);
-    let old = client.wait_for_completion(0, PATIENCE).unwrap_err();
+    let old = client.wait_for_completion(0, TIMEOUT).unwrap_err();
     assert!(matches!(old.problem, Problem::OwnerDied { .. }), "a client of the dead node must open again: {old}");
 }
 
 #[test]
-fn of_many_successors_one_takes_the_place() {
+fn only_one_of_many_successors_takes_over() {
     let name = unique("successors");
     for _ in 0..5 {
         drop(Peer::start("idle node", &name));
@@ -107,14 +107,14 @@ fn of_many_successors_one_takes_the_place() {
     }
 }
 
-/// What ends a wait that nothing else would end.
+/// The errors that end waits when the node ends.
 fn end_of_wait(name: &str, end_node: impl FnOnce()) -> Vec<Problem> {
     let client = Client::open(name).unwrap();
     let completed = client.counts().completed;
     thread::scope(|scope| {
-        let answer = scope.spawn(|| client.wait_for_answer(client.request(), PATIENCE).unwrap_err().problem);
-        let edge = scope.spawn(|| client.wait_for_completion(completed, PATIENCE).unwrap_err().problem);
-        thread::sleep(Duration::from_millis(20)); // so that they sleep, most likely: both must be right
+        let answer = scope.spawn(|| client.wait_for_answer(client.request(), TIMEOUT).unwrap_err().problem);
+        let edge = scope.spawn(|| client.wait_for_completion(completed, TIMEOUT).unwrap_err().problem);
+        thread::sleep(Duration::from_millis(20)); // by now they most likely sleep; the result must be right either way
         end_node();
         vec![answer.join().unwrap(), edge.join().unwrap()]
     })
@@ -124,11 +124,11 @@ fn end_of_wait(name: &str, end_node: impl FnOnce()) -> Vec<Problem> {
 fn a_closed_segment_ends_every_wait_and_frees_the_name() {
     let name = unique("closed");
     let responder = Responder::create(&name).unwrap();
-    responder.begin(); // requests stay unanswered
+    responder.begin(); // requests remain unanswered
     for problem in end_of_wait(&name, || drop(responder)) {
         assert!(matches!(problem, Problem::Closed), "{problem}");
     }
-    assert!(matches!(Client::open(&name).unwrap_err().problem, Problem::Absent));
+    assert!(matches!(Client::open(&name).unwrap_err().problem, Problem::NotFound));
 }
 
 #[test]
@@ -137,7 +137,7 @@ fn a_dead_node_ends_a_wait() {
     let node = Peer::start("idle node", &name);
     let client = Client::open(&name).unwrap();
     let error = thread::scope(|scope| {
-        let edge = scope.spawn(|| client.wait_for_completion(0, PATIENCE).unwrap_err());
+        let edge = scope.spawn(|| client.wait_for_completion(0, TIMEOUT).unwrap_err());
         thread::sleep(Duration::from_millis(20));
         drop(node);
         edge.join().unwrap()
@@ -154,12 +154,12 @@ fn a_controller_that_dies_leaves_the_others_unharmed() {
     assert!(responder.is_requested());
     responder.publish(&estimate(1));
     let client = Client::open(responder.name()).unwrap();
-    assert_eq!(client.wait_for_answer(client.request(), PATIENCE).unwrap().unwrap().number, 1);
+    assert_eq!(client.wait_for_answer(client.request(), TIMEOUT).unwrap().unwrap().number, 1);
     assert_eq!((client.counts().requested, client.counts().acknowledged), (2, 2));
 }
 
-/// Makes the sequence lock look as in the middle of a writing.
-fn tear(name: &str) {
+/// Puts the sequence lock into the state of an unfinished write.
+fn corrupt_sequence(name: &str) {
     let file = std::fs::OpenOptions::new().write(true).open(file_of(name)).unwrap();
     file.write_all_at(&3_u32.to_ne_bytes(), 384).unwrap();
 }
@@ -169,7 +169,7 @@ fn a_node_that_dies_while_it_writes_is_an_error() {
     let name = unique("torn");
     let node = Peer::start("idle node", &name);
     let client = Client::open(&name).unwrap();
-    tear(&name);
+    corrupt_sequence(&name);
     let error = client.latest().unwrap_err();
     assert!(matches!(error.problem, Problem::HalfWritten), "it lives: {error}");
     drop(node);
@@ -189,7 +189,7 @@ fn a_node_killed_at_any_moment_leaves_whole_estimates_or_an_error() {
         match client.latest() {
             Ok(Some(completed)) => {
                 assert_whole(&completed);
-                // At most the counting of it was cut off.
+                // At most the increment of the count is missing.
                 assert!(completed.number - client.counts().completed <= 1);
             }
             Ok(None) => assert_eq!(client.counts().completed, 0),

@@ -1,4 +1,4 @@
-//! What lies under the name of a segment and is none.
+//! Files under the name of a segment that are not valid segments.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -14,7 +14,7 @@ fn segment(magic: u64, version: u32, size: u32) -> Vec<u8> {
     bytes
 }
 
-/// What a client says of a file with these bytes; a node takes its place in any case.
+/// The error of a client for a file with these bytes; a node replaces such a file in any case.
 fn refusal(test: &str, bytes: &[u8]) -> Problem {
     let name = unique(test);
     fs::write(file_of(&name), bytes).unwrap();
@@ -26,7 +26,7 @@ fn refusal(test: &str, bytes: &[u8]) -> Problem {
 }
 
 #[test]
-fn a_client_refuses_what_is_no_segment() {
+fn a_client_rejects_invalid_segments() {
     let whole = segment(MAGIC, VERSION, SIZE);
     let problem = refusal("unserved", &whole);
     assert!(matches!(problem, Problem::OwnerDied { .. }), "{problem}");
@@ -45,18 +45,18 @@ fn a_client_refuses_what_is_no_segment() {
 }
 
 #[test]
-fn names_are_checked_and_absence_has_its_own_remedy() {
+fn names_are_checked_and_a_missing_segment_has_its_own_remedy() {
     for name in ["", "/", "/a/b", "../tmp/x", "/..", "/a\0b", &format!("/{}", "x".repeat(300))] {
         for problem in [Client::open(name).unwrap_err().problem, Responder::create(name).unwrap_err().problem] {
             assert!(matches!(problem, Problem::BadName), "{name:?}: {problem}");
         }
     }
     let absent = Client::open(&unique("absent")).unwrap_err();
-    assert!(matches!(absent.problem, Problem::Absent), "{absent}");
+    assert!(matches!(absent.problem, Problem::NotFound), "{absent}");
 }
 
 #[test]
-fn the_segment_is_for_its_user_only_and_goes_with_its_owner() {
+fn the_segment_is_private_to_its_user_and_removed_with_its_owner() {
     let name = unique("mode");
     fs::write(file_of(&name), "").unwrap();
     fs::set_permissions(file_of(&name), fs::Permissions::from_mode(0o666)).unwrap();
@@ -67,7 +67,7 @@ fn the_segment_is_for_its_user_only_and_goes_with_its_owner() {
 }
 
 #[test]
-fn a_name_that_has_become_another_node_s_is_left_alone() {
+fn a_segment_taken_over_by_another_node_is_left_alone() {
     let name = unique("usurped");
     let first = Responder::create(&name).unwrap();
     fs::remove_file(file_of(&name)).unwrap();

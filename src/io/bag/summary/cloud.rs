@@ -1,4 +1,4 @@
-//! Points and usability of the clouds of a topic.
+//! Size of the point clouds of a topic, and how many of them are usable.
 
 use std::collections::BTreeSet;
 
@@ -10,26 +10,26 @@ use crate::messages::sensor_msgs::PointCloud2;
 use super::super::BagMessage;
 use super::with_cause;
 
-/// The point clouds of a topic. Numbers of points are those of the last cloud.
+/// Summary of the point clouds on a topic. Numbers of points are those of the last cloud.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct CloudSummary {
     /// Name of the topic.
     pub topic: String,
-    /// Frames that the points are in: one, as a rule.
+    /// Frames of the clouds: usually one.
     pub frames: BTreeSet<String>,
-    /// Points of a row.
+    /// Number of points in a row.
     pub width: u32,
-    /// Rows: one, or the layers of the sensor.
+    /// Number of rows: one, or the number of layers of the sensor.
     pub height: u32,
-    /// Least height of a point in its own frame.
+    /// Minimum height of a point in the frame of its cloud, m.
     pub lowest_m: Option<f64>,
-    /// Greatest height of a point in its own frame.
+    /// Maximum height of a point in the frame of its cloud, m.
     pub highest_m: Option<f64>,
-    /// Clouds with points that can be read.
+    /// Number of clouds with readable points.
     pub usable: u64,
-    /// Clouds without.
+    /// Number of clouds without readable points.
     pub unusable: u64,
-    /// What is wrong with the first that has none.
+    /// Why the first unusable cloud has no readable points.
     pub first_error: Option<String>,
 }
 
@@ -65,13 +65,13 @@ impl CloudSummary {
         let Self { topic, usable, unusable, frames, .. } = self;
         let mut problems = Vec::new();
         if let Some(error) = &self.first_error {
-            problems.push(format!("{topic}: {unusable} of {} clouds unusable, the first: {error}", unusable + usable));
+            problems.push(format!("{topic}: {unusable} of {} clouds are unusable; the first: {error}", unusable + usable));
         }
         if frames.len() > 1 {
             problems.push(format!("{topic}: clouds are in {} different frames", frames.len()));
         }
         if frames.contains("") {
-            problems.push(format!("{topic}: clouds without a frame_id"));
+            problems.push(format!("{topic}: some clouds have no frame_id"));
         }
         problems
     }

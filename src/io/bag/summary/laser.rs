@@ -1,4 +1,4 @@
-//! Geometry and usability of the scans of a topic.
+//! Scan geometry of a topic, and how many of its scans are usable.
 
 use std::collections::BTreeSet;
 
@@ -10,36 +10,36 @@ use crate::scan::{Scan, ScanConverter};
 use super::super::BagMessage;
 use super::with_cause;
 
-/// The scans of a topic. The geometry is that of the last scan.
+/// Summary of the scans on a topic. The geometry is that of the last scan.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct LaserSummary {
     /// Name of the topic.
     pub topic: String,
-    /// Frames that the scans are in: one, as a rule.
+    /// Frames of the scans: usually one.
     pub frames: BTreeSet<String>,
     /// Number of beams.
     pub beams: usize,
-    /// Direction of the first beam.
+    /// Direction of the first beam, degrees.
     pub angle_min_deg: f64,
-    /// Angle from the first to the last beam.
+    /// Angle from the first to the last beam, degrees.
     pub field_of_view_deg: f64,
-    /// Angle from one beam to the next.
+    /// Angle from one beam to the next, degrees.
     pub increment_deg: f64,
-    /// Shortest range the laser measures.
+    /// Minimum range of the laser, m.
     pub range_min_m: f64,
-    /// Longest range the laser measures.
+    /// Maximum range of the laser, m.
     pub range_max_m: f64,
     /// How often the geometry changed from one scan to the next.
     pub geometry_changes: u64,
-    /// Part of the rays of usable scans that carry a measurement.
+    /// Percentage of the rays of usable scans that have a valid range.
     pub valid_percent: f64,
-    /// Scans that can be matched.
+    /// Number of scans that can be matched.
     pub usable: u64,
-    /// Scans that cannot.
+    /// Number of scans that cannot be matched.
     pub unusable: u64,
-    /// What is wrong with the first that cannot.
+    /// Why the first unusable scan cannot be matched.
     pub first_error: Option<String>,
-    /// What is odd, though it keeps no scan from being used.
+    /// Irregularities that do not make any scan unusable.
     pub oddities: BTreeSet<String>,
 }
 
@@ -49,7 +49,7 @@ impl LaserSummary {
         let mut problems = Vec::new();
         if let Some(error) = &self.first_error {
             problems.push(format!(
-                "{topic}: {} of {} scans unusable, the first: {error}",
+                "{topic}: {} of {} scans are unusable; the first: {error}",
                 self.unusable,
                 self.unusable + self.usable
             ));
@@ -62,13 +62,13 @@ impl LaserSummary {
             problems.push(format!("{topic}: scans are in {} different frames", self.frames.len()));
         }
         if self.frames.contains("") {
-            problems.push(format!("{topic}: scans without a frame_id"));
+            problems.push(format!("{topic}: some scans have no frame_id"));
         }
         problems
     }
 }
 
-/// The scans of a topic while they are read.
+/// Statistics of the scans on a topic, collected while they are read.
 pub(super) struct Statistics {
     summary: LaserSummary,
     converter: ScanConverter,
@@ -77,7 +77,7 @@ pub(super) struct Statistics {
     valid_rays: usize,
 }
 
-/// What must be equal, to the bit, in scans of one geometry.
+/// Values that must be equal, to the bit, in scans of the same geometry.
 #[derive(PartialEq)]
 struct Geometry {
     numbers: [u32; 4],
@@ -99,8 +99,8 @@ impl Statistics {
 
     fn add_scan(&mut self, message: &LaserScan) {
         self.describe(message);
-        let scan = self.converter.convert(message, false).and_then(Scan::of_surroundings);
-        self.summary.oddities.extend(self.converter.take_oddities().iter().map(ToString::to_string));
+        let scan = self.converter.convert(message, false).and_then(Scan::reject_uniform);
+        self.summary.oddities.extend(self.converter.take_warnings().iter().map(ToString::to_string));
         match scan {
             Ok(scan) => {
                 self.summary.usable += 1;

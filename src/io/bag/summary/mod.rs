@@ -1,4 +1,4 @@
-//! What a bag holds and what is wrong with it: `anytime info`.
+//! Content and problems of a bag: the output of `anytime info`.
 
 mod cloud;
 mod laser;
@@ -24,25 +24,25 @@ pub use laser::LaserSummary;
 pub use odometry::OdometrySummary;
 pub use topic::TopicSummary;
 
-/// What the frame of a base is called, as a rule (REP 105).
-const USUAL_BASE: &str = "base_link";
+/// Usual name of the base frame (REP 105).
+const DEFAULT_BASE_FRAME: &str = "base_link";
 
 /// Summary of a bag.
 #[derive(Clone, Debug, Serialize)]
 pub struct BagSummary {
-    /// The file.
+    /// Path of the file.
     pub path: String,
-    /// Its length.
+    /// Size of the file, bytes.
     pub size_bytes: u64,
-    /// When the first message was recorded, seconds since 1970.
+    /// Recording time of the first message, seconds since 1970.
     pub start_s: Option<f64>,
-    /// From the first to the last message.
+    /// Time from the first to the last message, s.
     pub duration_s: f64,
     /// Number of messages read.
     pub messages: u64,
     /// Number of chunks by compression.
     pub chunks: BTreeMap<&'static str, usize>,
-    /// Every topic, by name.
+    /// All topics, sorted by name.
     pub topics: Vec<TopicSummary>,
     /// The topics with laser scans.
     pub lasers: Vec<LaserSummary>,
@@ -50,7 +50,7 @@ pub struct BagSummary {
     pub clouds: Vec<CloudSummary>,
     /// The topics with odometry.
     pub odometry: Vec<OdometrySummary>,
-    /// What is wrong, in words.
+    /// Problems of the bag, one sentence each.
     pub problems: Vec<String>,
 }
 
@@ -61,13 +61,13 @@ impl BagSummary {
         for connection in bag.connections() {
             topics.entry(&connection.topic).or_insert_with(|| TopicReport::new(connection));
         }
-        let (mut transforms, mut refused) = (TransformTree::default(), 0);
+        let (mut transforms, mut rejected) = (TransformTree::default(), 0);
         for message in bag.messages(None) {
             let message = message?;
             if message.connection.carries::<TFMessage>()
                 && let Ok(message) = message.decode()
             {
-                refused += transforms.add(&message);
+                rejected += transforms.add(&message);
             }
             if let Some(report) = topics.get_mut(message.connection.topic.as_str()) {
                 report.add(&message);
@@ -89,14 +89,14 @@ impl BagSummary {
         }
         summary.problems.extend(summary.lasers.iter().flat_map(LaserSummary::problems));
         summary.problems.extend(summary.tilted_lasers(&transforms));
-        summary.problems.extend((refused > 0).then(|| format!("{refused} transforms are no rigid motion, and are left out")));
+        summary.problems.extend((rejected > 0).then(|| format!("{rejected} transforms are not rigid motions and were ignored")));
         summary.problems.extend(summary.clouds.iter().flat_map(CloudSummary::problems));
         summary.problems.extend(summary.odometry.iter().flat_map(OdometrySummary::problems));
-        summary.problems.extend(summary.what_is_missing());
+        summary.problems.extend(summary.missing_data());
         Ok(summary)
     }
 
-    /// Call it after the messages were read: some losses only show then.
+    /// Summary without its topics. Call it after the messages were read: some damage is found only then.
     fn without_topics(bag: &Bag) -> Self {
         Self {
             path: bag.path().display().to_string(),
@@ -113,10 +113,11 @@ impl BagSummary {
         }
     }
 
-    /// Lasers whose last mount in the bag is no planar one: on the base whose odometry it is, or that has the usual name.
+    /// Reports lasers that are not mounted level, according to the last transforms in the bag. The base frame is the child frame
+    /// of the odometry, or else the one of the usual name.
     fn tilted_lasers(&self, transforms: &TransformTree) -> Vec<String> {
         let of_odometry = self.odometry.iter().flat_map(|odometry| &odometry.child_frames);
-        let bases: Vec<&str> = of_odometry.map(String::as_str).chain([USUAL_BASE]).collect();
+        let bases: Vec<&str> = of_odometry.map(String::as_str).chain([DEFAULT_BASE_FRAME]).collect();
         let tilted = |laser: &LaserSummary| {
             let topic = laser.topic.clone();
             let errors = laser.frames.iter().filter_map(|frame| transforms.check_level(&bases, frame).err());
@@ -125,15 +126,15 @@ impl BagSummary {
         self.lasers.iter().flat_map(tilted).collect()
     }
 
-    fn what_is_missing(&self) -> Vec<String> {
+    fn missing_data(&self) -> Vec<String> {
         let mut missing = Vec::new();
         if self.messages == 0 {
-            missing.push("there are no messages".into());
+            missing.push("the bag has no messages".into());
         } else if self.lasers.iter().all(|laser| laser.usable == 0) && self.clouds.iter().all(|cloud| cloud.usable == 0) {
-            missing.push(format!("there are no usable scans ({} or {}): nothing to match", LaserScan::TYPE, PointCloud2::TYPE));
+            missing.push(format!("the bag has no usable scans ({} or {}) to match", LaserScan::TYPE, PointCloud2::TYPE));
         }
         if self.messages > 0 && self.odometry.is_empty() {
-            missing.push(format!("there is no odometry ({}): matching starts from constant velocity", Odometry::TYPE));
+            missing.push(format!("the bag has no odometry ({}): poses are predicted by constant velocity", Odometry::TYPE));
         }
         missing
     }

@@ -1,4 +1,4 @@
-//! Frames and usability of the odometry of a topic.
+//! Frames of the odometry on a topic, and its invalid messages.
 
 use std::collections::BTreeSet;
 
@@ -10,25 +10,25 @@ use crate::messages::nav_msgs::Odometry;
 use super::super::BagMessage;
 use super::with_cause;
 
-/// How far from 1 the norm of a quaternion may be.
+/// Maximum deviation of a quaternion's norm from 1.
 const NORM_TOLERANCE: f64 = 0.01;
 
-/// The odometry of a topic.
+/// Summary of the odometry on a topic.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct OdometrySummary {
     /// Name of the topic.
     pub topic: String,
-    /// Frames that the poses are in: one, as a rule.
+    /// Frames of the poses (`frame_id`): usually one.
     pub frames: BTreeSet<String>,
-    /// Frames whose poses they are: one, as a rule.
+    /// Child frames of the poses (`child_frame_id`): usually one.
     pub child_frames: BTreeSet<String>,
-    /// Poses that are NaN or infinite.
+    /// Number of poses that are NaN or infinite.
     pub not_finite: u64,
-    /// Finite poses whose quaternion is not of unit length.
+    /// Number of finite poses whose quaternion is not of unit length.
     pub not_normalised: u64,
-    /// Messages that could not be decoded.
+    /// Number of messages that could not be decoded.
     pub undecodable: u64,
-    /// What is wrong with the first that could not.
+    /// Why the first of these could not be decoded.
     pub first_error: Option<String>,
 }
 
@@ -69,10 +69,10 @@ impl OdometrySummary {
             problems.push(format!("{topic}: {} quaternions are not of unit length", self.not_normalised));
         }
         if let Some(error) = &self.first_error {
-            problems.push(format!("{topic}: {} messages cannot be decoded, the first: {error}", self.undecodable));
+            problems.push(format!("{topic}: {} messages cannot be decoded; the first: {error}", self.undecodable));
         }
         if self.frames.len() > 1 || self.child_frames.len() > 1 {
-            problems.push(format!("{topic}: the frames change on the way"));
+            problems.push(format!("{topic}: the frames change within the bag"));
         }
         problems
     }

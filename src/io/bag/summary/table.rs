@@ -1,4 +1,4 @@
-//! A summary as text.
+//! Formats a summary as text.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -14,10 +14,10 @@ impl fmt::Display for BagSummary {
 }
 
 impl BagSummary {
-    /// The text for a terminal of so many columns; `None`: as wide as it gets.
+    /// Formats the summary for a terminal of `width` columns; `None` for unlimited width.
     pub fn to_text(&self, width: Option<usize>) -> String {
         let mut text = String::new();
-        let _ = self.write(&mut text, width); // a string takes everything
+        let _ = self.write(&mut text, width); // writing to a string never fails
         text
     }
 
@@ -27,7 +27,7 @@ impl BagSummary {
         writeln!(f, "{:.1} MB ({})", self.size_bytes as f64 * 1e-6, chunks.join("; "))?;
         if let Some(start) = self.start_s.and_then(|start| Duration::try_from_secs_f64(start).ok()) {
             let start = humantime::format_rfc3339_millis(UNIX_EPOCH + start);
-            writeln!(f, "{} messages in {:.3} s from {start}", self.messages, self.duration_s)?;
+            writeln!(f, "{} messages in {:.3} s, starting at {start}", self.messages, self.duration_s)?;
         }
         if !self.topics.is_empty() {
             writeln!(f, "\n{}", self.topic_table().render(width))?;
@@ -83,7 +83,7 @@ impl BagSummary {
         let rows = self.lasers.iter().map(|laser| {
             vec![
                 laser.topic.clone(),
-                listed(&laser.frames),
+                join_names(&laser.frames),
                 laser.beams.to_string(),
                 format!("{:.1}", laser.field_of_view_deg),
                 format!("{:.1}", laser.angle_min_deg),
@@ -98,12 +98,12 @@ impl BagSummary {
     }
 
     fn cloud_table(&self) -> TextTable {
-        let header = ["clouds on", "frame", "points", "heights in it [m]", "usable", "unusable"];
+        let header = ["clouds on", "frame", "points", "heights [m]", "usable", "unusable"];
         let rows = self.clouds.iter().map(|cloud| {
             let heights = cloud.lowest_m.zip(cloud.highest_m).map(|(low, high)| format!("{low:.2} to {high:.2}"));
             vec![
                 cloud.topic.clone(),
-                listed(&cloud.frames),
+                join_names(&cloud.frames),
                 format!("{} x {}", cloud.width, cloud.height),
                 heights.unwrap_or("-".into()),
                 cloud.usable.to_string(),
@@ -117,12 +117,12 @@ impl BagSummary {
         let rows = self
             .odometry
             .iter()
-            .map(|odometry| vec![odometry.topic.clone(), listed(&odometry.frames), listed(&odometry.child_frames)]);
+            .map(|odometry| vec![odometry.topic.clone(), join_names(&odometry.frames), join_names(&odometry.child_frames)]);
         TextTable::new(&["odometry on", "frame", "child frame"], rows, 3)
     }
 }
 
-fn listed(names: &BTreeSet<String>) -> String {
+fn join_names(names: &BTreeSet<String>) -> String {
     let names: Vec<&str> = names.iter().map(|name| if name.is_empty() { "(none)" } else { name }).collect();
     names.join(", ")
 }

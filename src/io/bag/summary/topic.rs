@@ -1,4 +1,4 @@
-//! Rates, gaps and stamps of a topic.
+//! Rate, gaps and stamps of a topic.
 
 use std::cmp::Ordering;
 
@@ -9,27 +9,29 @@ use crate::time::Stamp;
 
 use super::super::{BagMessage, Connection};
 
-/// An interval this many times the mean one is a gap. (Not the median one: in logs written in bursts it is near zero.)
+/// An interval is a gap if it is longer than this many times the mean interval. (Not the median, which is near zero in logs
+/// written in bursts.)
 const GAP_FACTOR: f64 = 3.0;
 
-/// A topic and how its messages follow each other: by the stamps in their headers, or without headers by the times of recording.
+/// Summary of a topic, with the timing of its messages: by the stamps in their headers, or by the recording times if the messages
+/// have no headers.
 #[derive(Clone, Debug, Serialize)]
 pub struct TopicSummary {
-    /// Name.
+    /// Name of the topic.
     pub topic: String,
     /// Type of the messages.
     pub message_type: String,
     /// Number of messages read.
     pub messages: u64,
-    /// Mean rate.
+    /// Mean rate, Hz.
     pub rate_hz: Option<f64>,
-    /// Longest interval between two messages.
+    /// Longest interval between two messages, s.
     pub longest_interval_s: Option<f64>,
-    /// Number of intervals of more than three times the mean length.
+    /// Number of intervals longer than three times the mean interval.
     pub gaps: usize,
-    /// Stamps earlier than the one before.
+    /// Number of stamps earlier than the one before.
     pub stamps_back: u64,
-    /// Stamps equal to the one before.
+    /// Number of stamps equal to the one before.
     pub stamps_repeated: u64,
 }
 
@@ -41,24 +43,24 @@ impl TopicSummary {
             problems.push(format!("{topic}: {stamps_back} of {messages} stamps go back in time"));
         }
         if *stamps_repeated > 0 {
-            problems.push(format!("{topic}: {stamps_repeated} of {messages} stamps repeat the one before"));
+            problems.push(format!("{topic}: {stamps_repeated} of {messages} stamps are equal to the one before"));
         }
         if let (1.., Some(longest)) = (*gaps, self.longest_interval_s) {
             let plural = if *gaps == 1 { "" } else { "s" };
-            problems.push(format!("{topic}: {gaps} gap{plural}, the longest of {longest:.2} s"));
+            problems.push(format!("{topic}: {gaps} gap{plural}, the longest {longest:.2} s"));
         }
         problems
     }
 }
 
-/// A topic while its messages are read.
+/// Statistics of a topic, collected while its messages are read.
 pub(super) struct Statistics {
     topic: String,
     message_type: String,
     has_header: bool,
     messages: u64,
     previous: Option<Stamp>,
-    /// Between each message and the one before, s, where time went on.
+    /// Intervals between consecutive messages, s; only those above zero.
     intervals: Vec<f64>,
     stamps_back: u64,
     stamps_repeated: u64,
@@ -107,7 +109,7 @@ impl Statistics {
     }
 }
 
-/// Whether the first field of a message definition is a header.
+/// Whether the first field of a message definition is a `Header`.
 fn begins_with_header(definition: &str) -> bool {
     let fields = definition.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
     let first = fields.filter(|line| !line.is_empty() && !line.contains('=')).find_map(|line| line.split_whitespace().next());
@@ -119,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn headers_are_told_by_the_definition() {
+    fn headers_are_recognized_in_the_definition() {
         assert!(begins_with_header("# Single scan\n#\n\nHeader header # stamp of the first ray\nfloat32 angle_min"));
         assert!(begins_with_header("uint8 KIND=1\nstd_msgs/Header header"));
         assert!(!begins_with_header("geometry_msgs/TransformStamped[] transforms\n===\nMSG: x\nHeader header"));

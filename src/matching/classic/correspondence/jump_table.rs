@@ -1,40 +1,41 @@
-//! Jump tables (Censi 2008, section IV): from a ray that cannot be beaten by its like, leap to the next that could.
+//! Nearest-point search with jump tables (Censi 2008, section IV): from a ray, jump to the next one that can be nearer, and skip
+//! the rays between.
 //!
-//! Let a point have range rho, and let a ray of range r lie at the angle delta from it. The two are
-//! `(rho cos delta - r)^2 + (rho sin delta)^2` apart, and with the point's dot and cross product with the ray's unit vector,
-//! `rho cos delta` and `rho sin delta` need no trigonometry. Walking away from the point's direction, delta grows:
-//! - nothing from here on is nearer than `rho sin delta` (than rho, once delta exceeds 90 degrees): the walk ends when the best
-//!   match is;
-//! - where `r >= rho cos delta`, rays with a larger range are farther still: the next candidate is the next *shorter* ray; where
-//!   `r < rho cos delta` it is the next *longer* one. (Comparing r with rho instead, as the paper does, is not exact.)
+//! Let a point have range rho, and let a ray of range r lie at the angle delta from it. Their squared distance is
+//! `(rho cos delta - r)^2 + (rho sin delta)^2`. `rho cos delta` and `rho sin delta` are the dot and cross product of the point with
+//! the unit vector of the ray, so no trigonometry is needed. As the walk moves away from the direction of the point, delta grows:
+//! - no ray from here on is nearer than `rho sin delta` (than rho, once delta exceeds 90 degrees): the walk ends when this reaches
+//!   the distance of the best match;
+//! - if `r >= rho cos delta`, rays with a larger range are farther still: the next candidate is the next *shorter* ray. Otherwise
+//!   it is the next *longer* one. (Comparing r with rho instead, as the paper does, is not exact.)
 //!
-//! Points nearer to the laser than `max_distance` break the first rule; brute force answers for them.
+//! The first rule does not hold for points nearer to the laser than `max_distance`: these are handled by brute force.
 
 use super::naive::nearest_of_all;
 use super::{CorrespondenceSearch, Nearest};
 use crate::geometry::Point;
 use crate::matching::classic::reference::{NO_RAY, Ray, Reference};
 
-/// Where a walk in one direction of the sweep goes from each ray.
+/// Jump tables of one direction of the sweep, by ray.
 #[derive(Debug, Default)]
 struct Jumps {
     adjacent: Vec<u32>,
-    /// The next ray that is longer.
+    /// The next longer ray.
     longer: Vec<u32>,
-    /// The next ray that is shorter.
+    /// The next shorter ray.
     shorter: Vec<u32>,
 }
 
-/// One table a direction. Where the gap of the sweep is less than half a turn, walks go on across it.
+/// Jump tables in both directions. If the gap of the sweep is less than half a turn, walks continue across it.
 #[derive(Debug, Default)]
 pub(super) struct JumpTable {
     up: Jumps,
     down: Jumps,
 }
 
-/// Fills `next[i]` with the first ray ahead of `i` for which `beats(its range, range of i)`; `indices` come from the far end of the
-/// walk. `next` itself links the stack of candidates: what a passed-over candidate loses to is the next candidate. Ranges along the
-/// links are strictly monotone, so that a second round in a ring ends as well.
+/// Fills `next[i]` with the first ray ahead of `i` for which `beats(its range, range of i)`. `indices` start at the far end of
+/// the walk. `next` itself links the stack of candidates: the next candidate is the ray that beats the rejected one. Ranges along
+/// the links are strictly monotone, so that the second round of a closed scan ends as well.
 fn link(rays: &[Ray], indices: impl Iterator<Item = usize>, beats: impl Fn(f64, f64) -> bool, next: &mut [u32]) {
     let mut ahead = NO_RAY;
     for i in indices {
@@ -51,7 +52,7 @@ fn link(rays: &[Ray], indices: impl Iterator<Item = usize>, beats: impl Fn(f64, 
 }
 
 impl Jumps {
-    /// `indices`: the rays from the far end of the direction to its near end.
+    /// `indices`: the rays from the far end of the direction to the near end.
     fn build(&mut self, rays: &[Ray], indices: &(impl Iterator<Item = usize> + Clone), wraps: bool) {
         for table in [&mut self.adjacent, &mut self.longer, &mut self.shorter] {
             table.clear();
@@ -64,7 +65,7 @@ impl Jumps {
         link(rays, indices(), |candidate, range| candidate < range, &mut self.shorter);
     }
 
-    /// Walks from `start` and improves `best`. `ahead_sign` is +1 when the walk turns counter-clockwise, else -1.
+    /// Walks from `start` and improves `best`. `ahead_sign` is +1 for a counter-clockwise walk, -1 for a clockwise one.
     #[inline]
     fn walk(&self, rays: &[Ray], point: Point, start: u32, ahead_sign: f64, mut best: Nearest) -> Nearest {
         let (mut past, mut farthest) = (false, 0.0);
@@ -72,7 +73,8 @@ impl Jumps {
         while let Some(Ray { direction, range }) = rays.get(i as usize) {
             let along = point.dot(direction);
             let across = ahead_sign * point.perp(direction);
-            // Within 90 degrees `across` grows with every step past the point: where it does not, the walk has come round a ring.
+            // Within 90 degrees `across` grows with every step past the point. If it does not, the walk has gone around a closed
+            // scan.
             let in_front = along > 0.0;
             if !in_front || (past && across <= farthest) {
                 break;
@@ -84,12 +86,12 @@ impl Jumps {
                 }
                 farthest = across;
             }
-            let short_of = along - range;
-            let squared_distance = short_of * short_of + across * across;
+            let range_difference = along - range;
+            let squared_distance = range_difference * range_difference + across * across;
             if squared_distance < best.squared_distance {
                 best = Nearest { ray: i, squared_distance };
             }
-            let table = match (past, short_of > 0.0) {
+            let table = match (past, range_difference > 0.0) {
                 (false, _) => &self.adjacent,
                 (true, true) => &self.longer,
                 (true, false) => &self.shorter,

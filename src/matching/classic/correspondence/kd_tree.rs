@@ -1,4 +1,4 @@
-//! Nearest neighbours by a k-d tree.
+//! Nearest-point search with a k-d tree.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 

@@ -1,4 +1,4 @@
-//! Brute force: every point against every ray. The oracle of the other searches.
+//! Nearest-point search by brute force: every point against every ray. The other searches are tested against it.
 
 use super::{CorrespondenceSearch, Nearest};
 use crate::geometry::Point;
@@ -17,7 +17,7 @@ impl CorrespondenceSearch for Naive {
     }
 }
 
-/// The nearest of all rays, the first of equals.
+/// The nearest of all rays; the first one if several are equally near.
 #[allow(clippy::cast_possible_truncation)] // a scan has at most 10 000 rays
 pub(super) fn nearest_of_all(reference: &Reference, point: Point, max_distance: f64) -> Nearest {
     let mut best = Nearest { squared_distance: max_distance * max_distance, ..Nearest::NONE };

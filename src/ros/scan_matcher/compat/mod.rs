@@ -1,10 +1,10 @@
-//! The face of `laser_scan_matcher`: its parameters, its topics, its rule for keyframes, around this matcher.
+//! Compatibility with `laser_scan_matcher`: its parameters, topics and keyframe rule, with this matcher.
 //!
-//! What that node does wrong is not copied: a scan that cannot be matched is answered with the prediction, and covariances are what the
-//! match says.
+//! Its faults are not copied: if a scan cannot be matched, the prediction is published, and the covariances are those of the
+//! match.
 
 mod parameters;
 mod poses;
 
-pub(super) use parameters::{Face, Predictors, read};
+pub(super) use parameters::{NodeInterface, Predictors, read};
 pub(super) use poses::PoseOutputs;

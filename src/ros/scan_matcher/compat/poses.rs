@@ -1,4 +1,4 @@
-//! The topics that `laser_scan_matcher` gives its poses on.
+//! The topics on which `laser_scan_matcher` publishes its poses.
 
 use rosrust::api::Ros;
 
@@ -9,7 +9,7 @@ use crate::ros::NodeError;
 use crate::ros::output::Output;
 use crate::ros::scan_matcher::convert::Outgoing;
 
-/// Those that are wanted.
+/// The publishers of the enabled pose topics.
 pub(in crate::ros) struct PoseOutputs {
     planar: Option<Output<Pose2D>>,
     stamped: Option<Output<PoseStamped>>,

@@ -1,4 +1,4 @@
-//! Where the simulated car drives.
+//! The environment that the simulated car drives in.
 
 use std::path::Path;
 
@@ -14,14 +14,14 @@ use crate::simulation::route::Route;
 use crate::simulation::scene::Scene;
 use crate::simulation::world::World;
 
-/// A world and, if it has one, a way round it.
-pub(super) struct Ground {
+/// A world and, if there is one, a loop through it.
+pub(super) struct Environment {
     pub(super) world: Box<dyn World>,
     route: Option<Route>,
     start: Pose2,
 }
 
-impl Ground {
+impl Environment {
     pub(super) fn new(knobs: &RacecarSimKnobs) -> Result<Self, NodeError> {
         let (world, route) = match BuiltIn::from_value(&knobs.world.as_str().into()) {
             Ok(which) => Scene::built_in(which).map(|scene| (scene.world, Some(scene.route)))?,
@@ -32,12 +32,12 @@ impl Ground {
         Ok(Self { world, route, start })
     }
 
-    /// Where the car is at first.
+    /// Start pose of the car.
     pub(super) fn start(&self) -> Pose2 {
         self.start
     }
 
-    /// Someone who drives the car round, if that is wanted.
+    /// The autopilot, if it is wanted.
     pub(super) fn driver(&self, knobs: &RacecarSimKnobs) -> Option<Driver<'_>> {
         let route = self.route.as_ref().filter(|_| knobs.autopilot)?;
         let mut driver = Driver::new(route, &knobs.autopilot());
@@ -46,7 +46,7 @@ impl Ground {
     }
 }
 
-/// A map, and a way round it: one that has none will do for a car that somebody drives.
+/// A map and a loop through it. A map without a loop is an error only for the autopilot.
 fn of_map(knobs: &RacecarSimKnobs) -> Result<(Box<dyn World>, Option<Route>), NodeError> {
     let map = map_file::read(Path::new(&knobs.world))?;
     let route = match Scene::in_map(map.clone(), knobs.seed) {

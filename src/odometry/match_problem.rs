@@ -1,0 +1,118 @@
+//! The problem of matching one scan: the prediction of its pose, and the estimate it starts from.
+
+use super::keyframe_pose::KeyframePose;
+use super::motion_state::MotionState;
+use super::prediction::Prediction;
+use super::scale_error::ScaleJacobian;
+use super::uncertainty;
+use crate::geometry::{Pose2, PoseCovariance, Twist2};
+use crate::matching::{Prior, SearchWindow};
+use crate::time::Stamp;
+
+/// Typical variation of the agreement from one scan to the next.
+pub(super) const AGREEMENT_VARIATION: f64 = 0.05;
+/// The heading is searched by this many times the predicted rotation to either side.
+const SEARCHED_ROTATION_FRACTION: f64 = 1.2;
+
+/// The estimate of the previous scan.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PreviousEstimate {
+    pub(super) stamp: Stamp,
+    pub(super) map_from_base: Pose2,
+    pub(super) map_from_laser: Pose2,
+    pub(super) covariance: PoseCovariance,
+    /// How the scale error of the odometry, which is not in that covariance, moves the base.
+    pub(super) by_scale: ScaleJacobian,
+    /// Covariance relative to the keyframe it was matched to, along the axes of the base.
+    pub(super) covariance_to_keyframe: PoseCovariance,
+    /// Velocity from the estimate before to this one.
+    pub(super) measured_twist: Twist2,
+    /// The latest measured velocity that a robot can have driven. It is used to deskew scans: the filtered velocity, which is
+    /// that at the end of the step, overshoots, and a scan deskewed by too much would make it overshoot again.
+    pub(super) mean_twist: Twist2,
+    /// Filtered velocity and its uncertainty.
+    pub(super) motion: MotionState,
+    /// A later scan could not be matched and was skipped: the next scan still starts from this estimate.
+    pub(super) has_skipped_scan: bool,
+}
+
+impl PreviousEstimate {
+    /// Covariance of the base on the map, by all errors.
+    pub(super) fn total_covariance(&self) -> PoseCovariance {
+        self.covariance + self.by_scale.covariance()
+    }
+
+    /// Mounting pose of the laser that took the scan.
+    pub(super) fn base_from_laser(&self) -> Pose2 {
+        self.map_from_base.between(&self.map_from_laser)
+    }
+}
+
+/// A scan to be matched.
+#[derive(Clone, Copy)]
+pub(super) struct MatchProblem {
+    /// The estimate that the prediction starts from.
+    pub(super) previous: PreviousEstimate,
+    /// Predicted motion of the base since then.
+    pub(super) prediction: Prediction,
+    /// The motion predicted at constant velocity.
+    pub(super) constant_velocity: Prediction,
+    /// The motion measured by odometry, whether accepted or rejected.
+    pub(super) odometry: Option<Prediction>,
+    /// The rotation measured by the IMU, whether accepted or rejected, rad, and its standard deviation, rad.
+    pub(super) imu_rotation: Option<(f64, f64)>,
+    /// More odometry of that motion is still to come.
+    pub(super) awaits_odometry: bool,
+    /// Mounting pose of the laser.
+    pub(super) base_from_laser: Pose2,
+}
+
+impl MatchProblem {
+    /// Prior for the match: the predicted pose of the laser in the keyframe's frame. `previous_covariance` is that of the
+    /// previous pose in that frame, along the axes of the base.
+    pub(super) fn prior(&self, keyframe: &KeyframePose, previous_covariance: &PoseCovariance) -> Prior {
+        let none = PoseCovariance::zeros();
+        let keyframe_from_last = keyframe.map_from_laser.between(&self.previous.map_from_base);
+        let Prediction { motion, covariance } = &self.prediction;
+        let keyframe_from_base = keyframe_from_last * *motion;
+        let previous_covariance = uncertainty::rotated(previous_covariance, keyframe_from_last.theta);
+        let base_covariance = uncertainty::compound(&keyframe_from_last, &previous_covariance, motion, covariance);
+        Prior {
+            pose: keyframe_from_base * self.base_from_laser,
+            covariance: uncertainty::compound(&keyframe_from_base, &base_covariance, &self.base_from_laser, &none),
+        }
+    }
+
+    /// Search window around the predicted pose. The larger the predicted rotation, the larger its uncertainty. Outdoors scans
+    /// never agree as well as in a room, so the search starts only if the agreement is lower than it typically is.
+    pub(super) fn window(&self, typical_agreement: f64) -> SearchWindow {
+        let (rotation, window) = (self.prediction.motion.theta.abs(), SearchWindow::default());
+        let below_typical = (typical_agreement - AGREEMENT_VARIATION).min(window.min_agreement);
+        SearchWindow {
+            angle: window.angle.max(SEARCHED_ROTATION_FRACTION * rotation),
+            min_agreement: if rotation > window.angle { f64::INFINITY } else { below_typical },
+            ..window
+        }
+    }
+
+    /// Predicted pose of the base on the map, and its covariance.
+    pub(super) fn predicted_base(&self) -> (Pose2, PoseCovariance) {
+        let (previous, Prediction { motion, covariance }) = (&self.previous, &self.prediction);
+        (
+            previous.map_from_base * *motion,
+            uncertainty::compound(&previous.map_from_base, &previous.covariance, motion, covariance),
+        )
+    }
+
+    /// How the scale error of the odometry moves the predicted pose of the base.
+    pub(super) fn predicted_by_scale(&self) -> ScaleJacobian {
+        let (previous, motion) = (&self.previous, &self.prediction.motion);
+        let predicted = previous.by_scale.after(motion, previous.map_from_base.theta);
+        if self.odometry.is_some() { predicted } else { previous.by_scale }
+    }
+
+    /// Predicted pose of the laser on the map.
+    pub(super) fn predicted_laser(&self) -> Pose2 {
+        self.previous.map_from_base * self.prediction.motion * self.base_from_laser
+    }
+}
