@@ -95,6 +95,17 @@ impl Pose2 {
         self.x.hypot(self.y)
     }
 
+    /// Size of a motion: distance plus rotation, where 1 rad counts as 1 m. Measures how much the views from its two ends differ.
+    pub fn magnitude(&self) -> f64 {
+        self.distance() + self.theta.abs()
+    }
+
+    /// Whether `other` is nearer than `distance`, m, and its heading differs by less than `angle`, rad.
+    pub fn is_near(&self, other: &Self, distance: f64, angle: f64) -> bool {
+        let motion = self.between(other);
+        motion.distance() < distance && motion.theta.abs() < angle
+    }
+
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         self.x.is_finite() && self.y.is_finite() && self.theta.is_finite()

@@ -69,7 +69,8 @@
 //! # Invariants
 //!
 //! - [`matching`] never reads a clock, prints or panics, and allocates nothing after warm-up (`tests/offline/no_allocation.rs`).
-//! - Every scan gets exactly one answer. If it cannot be matched or read, the answer is the prediction with the reason.
+//! - Every scan gets exactly one answer, or is counted as dropped. If it cannot be matched or read, the answer is the prediction
+//!   with the reason.
 //! - Stamps are those of the scans. No content of a message depends on when it is handled, except measurements of that time.
 //! - Without a time budget, or on the virtual clock, the same input gives the same output to the last bit.
 //! - External data is checked before use: an invalid message, file or parameter is an error that states where it is and how to

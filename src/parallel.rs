@@ -1,6 +1,8 @@
 //! Parallel work on several threads: with rayon if the feature `cli` is enabled, otherwise on the calling thread.
 
 use std::io;
+#[cfg(feature = "cli")]
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 #[cfg(feature = "cli")]
 use rayon::prelude::*;
@@ -49,4 +51,10 @@ impl Workers {
         }
         tasks.enumerate().for_each(|(index, task)| work(index, task));
     }
+}
+
+/// Locks, ignoring poisoning. Use it only for data that is consistent at all times, even if a thread panics while holding the lock.
+#[cfg(feature = "cli")]
+pub(crate) fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

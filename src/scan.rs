@@ -425,9 +425,11 @@ impl Scan {
     }
 }
 
-/// Converts the messages of one laser into scans; keeps the beam directions while the geometry stays the same.
+/// Converts messages into scans; keeps the beam directions while the geometry stays the same.
 #[derive(Debug, Default)]
 pub struct ScanConverter {
+    /// Frame of the laser that `out_of_range` and `intervals` describe.
+    frame: String,
     beams: Option<Arc<BeamGeometry>>,
     out_of_range: OutOfRangeDetector,
     intervals: ScanIntervals,
@@ -452,7 +454,11 @@ impl ScanConverter {
     pub fn convert(&mut self, message: &LaserScan, upside_down: bool) -> Result<Scan, ScanError> {
         let side = if upside_down { -1.0 } else { 1.0 };
         check_header(message)?;
-        self.intervals.add(message);
+        if self.frame != message.header.frame_id {
+            self.frame.clone_from(&message.header.frame_id);
+            (self.out_of_range, self.intervals) = Default::default();
+        }
+        self.intervals.add(message.header.stamp.into());
         self.check_fields(message);
         let angle_min = side * f64::from(message.angle_min);
         let angle_increment = side * f64::from(message.angle_increment);
@@ -553,7 +559,7 @@ fn sweep(message: &LaserScan) -> f64 {
 /// The time between the scans of a laser: a sweep cannot last longer than until the next one begins.
 #[derive(Debug, Default)]
 struct ScanIntervals {
-    frame: String,
+    /// Stamp of the last scan.
     stamp: Option<Stamp>,
     /// Times between the last consecutive scans of the laser, s.
     intervals: [f64; Self::KEPT],
@@ -569,11 +575,7 @@ impl ScanIntervals {
     /// Maximum relative difference between the clocks of laser and computer.
     const TOLERANCE: f64 = 0.1;
 
-    fn add(&mut self, message: &LaserScan) {
-        let stamp = message.header.stamp.into();
-        if self.frame != message.header.frame_id {
-            *self = Self { frame: message.header.frame_id.clone(), ..Self::default() };
-        }
+    fn add(&mut self, stamp: Stamp) {
         let since_last = self.stamp.replace(stamp).map(|last| stamp.seconds_since(last));
         if let Some(seconds) = since_last.filter(|seconds| *seconds > 0.0) {
             self.intervals[self.count % Self::KEPT] = seconds;
@@ -641,6 +643,37 @@ mod tests {
         let undistorted = scan.undistorted(&twist, 0.0, scan.sweep_duration());
         assert!(error(&scan) > 0.05 && error(&undistorted) < 1e-9);
         assert!((scan.sweep_duration() - 0.02).abs() < 1e-12 && undistorted.sweep_duration() == 0.0);
+    }
+
+    /// A message of a laser with one beam per degree: walls at 5 m, and `far` beams from the middle on at 51.1 m.
+    fn message(frame: &str, far: usize) -> LaserScan {
+        let mut message = LaserScan { range_max: 80.0, ..LaserScan::default() };
+        (message.angle_min, message.angle_max, message.angle_increment) = (-1.575, 1.575, 0.0175);
+        message.header.frame_id = frame.into();
+        message.ranges = (0..181).map(|i| if (90..90 + far).contains(&i) { 51.1 } else { 5.0 + 0.01 * i as f32 }).collect();
+        message
+    }
+
+    #[test]
+    fn a_range_that_many_rays_have_at_once_is_not_a_wall_but_that_of_one_wall_is() {
+        let mut converter = ScanConverter::default();
+        for _ in 0..100 {
+            assert_eq!(converter.convert(&message("laser", 20), false).unwrap().valid_len(), 181, "a wall 20 degrees wide");
+        }
+        assert_eq!(converter.take_warnings(), []);
+        let scan = converter.convert(&message("laser", 21), false).unwrap();
+        assert!(scan.valid_len() == 160 && scan.is_out_of_range(90));
+        assert!(
+            matches!(converter.take_warnings()[..], [ScanWarning::OutOfRangeMarker { range }] if (range - 51.1).abs() < 1e-5)
+        );
+        assert_eq!(converter.convert(&message("laser", 1), false).unwrap().valid_len(), 180, "the value is known now");
+    }
+
+    #[test]
+    fn the_out_of_range_value_of_one_laser_is_not_used_for_another() {
+        let mut converter = ScanConverter::default();
+        assert_eq!(converter.convert(&message("front", 60), false).unwrap().valid_len(), 121);
+        assert_eq!(converter.convert(&message("rear", 10), false).unwrap().valid_len(), 181, "a wall of the other laser");
     }
 
     /// The scan of a laser with one beam per degree over this many degrees that measures `range` in the direction `angle` (rad).

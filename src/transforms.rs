@@ -202,15 +202,7 @@ impl TransformTree {
 
     /// Whether `ancestor` is `frame` itself or one of its ancestors, so that `frame` moves with it.
     pub fn is_ancestor(&self, ancestor: &str, frame: &str) -> bool {
-        let (ancestor, mut frame) = (frame_name(ancestor), frame_name(frame));
-        for _ in 0..MAX_CHAIN {
-            if frame == ancestor {
-                return true;
-            }
-            let Some(parent) = self.parent(frame) else { return false };
-            frame = parent;
-        }
-        false
+        self.ancestors(frame, |link| link.last).any(|(name, _)| name == frame_name(ancestor))
     }
 
     /// The mount of `laser` on `base` from the last transforms; `None` if the frames are not connected.
@@ -242,7 +234,7 @@ impl TransformTree {
     /// Rejects a laser whose scan plane is tilted against the first of its ancestors among `bases`, or against the root of its
     /// frames if there is none.
     pub fn check_level(&self, bases: &[&str], laser: &str) -> Result<(), TiltedMount> {
-        let ancestors = self.ancestors(laser);
+        let ancestors: Vec<_> = self.ancestors(laser, |link| link.last).collect();
         let is_base = |(frame, _): &&(&str, Isometry3<f64>)| bases.iter().any(|base| frame_name(base) == *frame);
         let base = ancestors.iter().find(is_base).or(ancestors.last());
         base.map_or(Ok(()), |(frame, frame_from_laser)| Mount::new(frame_from_laser).check_level(frame, laser))
@@ -250,7 +242,7 @@ impl TransformTree {
 
     /// The transform from `inner` to `outer`, if they are connected without passing through any of the `moving` frames.
     pub fn fixed_transform(&self, outer: &str, inner: &str, moving: &[&str]) -> Option<Isometry3<f64>> {
-        let (of_outer, of_inner) = (self.ancestors(outer), self.ancestors(inner));
+        let [of_outer, of_inner] = [outer, inner].map(|frame| self.ancestors(frame, |link| link.last).collect::<Vec<_>>());
         let is_common = |(frame, _): &&(&str, Isometry3<f64>)| of_inner.iter().any(|(other, _)| other == frame);
         let &(common, common_from_outer) = of_outer.iter().find(is_common)?;
         let &(_, common_from_inner) = of_inner.iter().find(|(frame, _)| *frame == common)?;
@@ -262,25 +254,22 @@ impl TransformTree {
         (!is_moving).then(|| common_from_outer.inverse() * common_from_inner)
     }
 
-    /// A frame and its ancestors, each with the pose of the frame in it.
-    fn ancestors<'a>(&'a self, frame: &'a str) -> Vec<(&'a str, Isometry3<f64>)> {
+    /// A frame and its ancestors, each with the pose of the frame in it; `transform` gives the pose of a frame in its parent.
+    fn ancestors<'a>(
+        &'a self,
+        frame: &'a str,
+        transform: impl Fn(&Link) -> Isometry3<f64>,
+    ) -> impl Iterator<Item = (&'a str, Isometry3<f64>)> {
         let first = (frame_name(frame), Isometry3::identity());
-        let up = |(frame, ancestor_from_frame): &(&'a str, Isometry3<f64>)| {
-            self.parents.get(*frame).map(|link| (link.parent.as_str(), link.last * ancestor_from_frame))
+        let up = move |(frame, ancestor_from_frame): &(&'a str, Isometry3<f64>)| {
+            self.parents.get(*frame).map(|link| (link.parent.as_str(), transform(link) * ancestor_from_frame))
         };
-        std::iter::successors(Some(first), up).take(MAX_CHAIN).collect()
+        std::iter::successors(Some(first), up).take(MAX_CHAIN)
     }
 
-    /// The root of a frame, and the pose of the frame in it.
+    /// The root of a frame, and the pose of the frame in it; `None` if the frames form a loop.
     fn root<'a>(&'a self, frame: &'a str, transform: impl Fn(&Link) -> Isometry3<f64>) -> Option<(&'a str, Isometry3<f64>)> {
-        let mut frame = frame_name(frame);
-        let mut ancestor_from_frame = Isometry3::identity();
-        for _ in 0..MAX_CHAIN {
-            let Some(link) = self.parents.get(frame) else { return Some((frame, ancestor_from_frame)) };
-            ancestor_from_frame = transform(link) * ancestor_from_frame;
-            frame = &link.parent;
-        }
-        None
+        self.ancestors(frame, transform).last().filter(|(root, _)| self.parent(root).is_none())
     }
 }
 

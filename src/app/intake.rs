@@ -20,6 +20,7 @@ use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::{LaserScan, PointCloud2};
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
+use crate::odometry::FailureReason;
 use crate::odometry::wheel::WheelSample;
 use crate::scan::{Scan, ScanConverter, ScanError};
 use crate::time::Stamp;
@@ -42,6 +43,16 @@ pub enum UnusableScan {
     /// The laser's scan plane is tilted against the floor.
     #[error(transparent)]
     Tilted(#[from] TiltedMount),
+}
+
+impl UnusableScan {
+    /// The code of the failure, for programs.
+    pub(super) fn reason(&self) -> FailureReason {
+        match self {
+            Self::Malformed(_) | Self::MalformedCloud(_) => FailureReason::MalformedScan,
+            Self::Tilted(_) => FailureReason::TiltedMount,
+        }
+    }
 }
 
 /// The state that messages update, and the converters that read scans.

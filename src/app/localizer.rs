@@ -71,8 +71,7 @@ impl RejectedScan {
     /// The code of the failure, for programs.
     pub fn code(&self) -> &'static str {
         match self {
-            Self::Unusable(UnusableScan::Malformed(_) | UnusableScan::MalformedCloud(_)) => "malformed_scan",
-            Self::Unusable(UnusableScan::Tilted(_)) => "tilted_mount",
+            Self::Unusable(problem) => problem.reason().name(),
             Self::NotNewer => "not_newer",
         }
     }
@@ -313,7 +312,7 @@ impl Localizer {
         self.sources.wheel_pose(stamp)
     }
 
-    /// Lag of the wheel odometry behind the scans, s: scans show the robot where the wheel odometry had it this much earlier.
+    /// Lag of the scans behind the wheel odometry, s: scans show the robot where the wheel odometry had it this much earlier.
     /// Estimated along the path; 0 until there is evidence.
     pub fn odometry_lag(&self) -> f64 {
         self.sources.wheel_lag()

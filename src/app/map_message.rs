@@ -3,7 +3,6 @@
 use thiserror::Error;
 
 use super::{InputError, planar_pose};
-use crate::geometry::Pose2;
 use crate::map::grid::{Cell, GridError, OccupancyGrid};
 use crate::messages::nav_msgs;
 use crate::messages::std_msgs::Header;
@@ -64,7 +63,7 @@ pub fn message(grid: &OccupancyGrid, frame: &str) -> nav_msgs::OccupancyGrid {
         resolution: grid.resolution() as f32,
         width: grid.width() as u32,
         height: grid.height() as u32,
-        origin: grid.pose_in_map(&Pose2::IDENTITY).into(),
+        origin: grid.origin().into(),
         ..nav_msgs::MapMetaData::default()
     };
     let header = Header { frame_id: frame.into(), ..Header::default() };
@@ -74,7 +73,7 @@ pub fn message(grid: &OccupancyGrid, frame: &str) -> nav_msgs::OccupancyGrid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Point;
+    use crate::geometry::{Point, Pose2};
 
     fn sample(resolution: f32, height: u32) -> nav_msgs::OccupancyGrid {
         let mut message = nav_msgs::OccupancyGrid { data: vec![0, 100, -1, 10, 50, 65], ..Default::default() };

@@ -34,11 +34,11 @@ use crate::matching::IterationTrace;
 use crate::messages::geometry_msgs::{Pose, PoseWithCovarianceStamped, Quaternion, Twist};
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::own;
-use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
+use crate::messages::sensor_msgs::{Imu, LaserScan};
 use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::wheel::WheelSample;
-use crate::odometry::{Failure, FailureReason, LaserOdometry, MatchedPoints, OdometryCounters, Outcome, Registration};
+use crate::odometry::{Failure, LaserOdometry, MatchedPoints, OdometryCounters, Outcome, Registration};
 use crate::scan::Scan;
 use crate::time::Stamp;
 use crate::transforms::{MAX_COORDINATE, Mount, TransformTree};
@@ -287,11 +287,6 @@ impl App {
         self.estimate(&message.header, arrival, |intake| intake.scan(message))
     }
 
-    /// Processes a point cloud as [`Self::on_scan`] does a scan.
-    pub fn on_cloud(&mut self, message: &PointCloud2, arrival: Duration) -> Estimate {
-        self.estimate(&message.header, arrival, |intake| intake.cloud(message))
-    }
-
     fn estimate(
         &mut self,
         header: &Header,
@@ -315,7 +310,7 @@ impl App {
             Ok(scan) => self.odometry.register_within(&scan, &mount.base_from_laser, &mut runner),
             Err(problem) => {
                 self.counters.malformed_scans += 1;
-                self.odometry.register_unusable(stamp, failure(&problem))
+                self.odometry.register_unusable(stamp, Failure::new(problem.reason(), problem.to_string()))
             }
         };
         let refined = runner.last_step_end();
@@ -439,7 +434,7 @@ impl App {
         &self.counters
     }
 
-    /// Lag of the wheel odometry behind the scans, s: scans show the robot where the wheel odometry had it this much earlier.
+    /// Lag of the scans behind the wheel odometry, s: scans show the robot where the wheel odometry had it this much earlier.
     /// Estimated along the path; 0 until there is evidence.
     pub fn odometry_lag(&self) -> f64 {
         self.odometry.odometry_lag()
@@ -462,7 +457,7 @@ impl ScanProcessor for App {
     fn on_sensed(&mut self, message: &SensorMessage, arrival: Duration) -> Estimate {
         match message {
             SensorMessage::Scan(scan) => self.on_scan(scan, arrival),
-            SensorMessage::Cloud(cloud) => self.on_cloud(cloud, arrival),
+            SensorMessage::Cloud(cloud) => self.estimate(&cloud.header, arrival, |intake| intake.cloud(cloud)),
         }
     }
 
@@ -516,15 +511,6 @@ impl ScanProcessor for App {
     fn take_warnings(&mut self) -> Vec<String> {
         self.intake.take_warnings()
     }
-}
-
-/// The failure to report for an unusable scan.
-fn failure(problem: &UnusableScan) -> Failure {
-    let reason = match problem {
-        UnusableScan::Tilted(_) => FailureReason::TiltedMount,
-        UnusableScan::Malformed(_) | UnusableScan::MalformedCloud(_) => FailureReason::MalformedScan,
-    };
-    Failure::new(reason, problem.to_string())
 }
 
 /// The planar pose of a message.

@@ -100,6 +100,11 @@ impl FollowerKnobs {
         wanted.max(self.min_lookahead).min(self.max_lookahead)
     }
 
+    /// Maximum age of a scan, s; infinite if there is no limit.
+    fn scan_age_limit(&self) -> f64 {
+        if self.max_scan_age.0 > 0.0 { self.max_scan_age.0 } else { f64::INFINITY }
+    }
+
     fn limits(&self) -> SpeedLimits {
         SpeedLimits { top: self.speed, lateral_acceleration: self.lateral_acceleration, braking: self.acceleration }
     }
@@ -358,8 +363,7 @@ impl Follower {
         }
         if let Some((stamp, _)) = self.scan
             && let age = now.seconds_since(stamp)
-            && knobs.max_scan_age.0 > 0.0
-            && age > knobs.max_scan_age.0
+            && age > knobs.scan_age_limit()
         {
             return Some(StopReason::ScanAge(age));
         }
@@ -379,7 +383,7 @@ impl Follower {
             return None;
         }
         let footprint = Footprint { front: self.knobs.front, width: self.knobs.width };
-        let age = now.seconds_since(*stamp).clamp(0.0, self.knobs.max_scan_age.0);
+        let age = now.seconds_since(*stamp).clamp(0.0, self.knobs.scan_age_limit());
         Some(footprint.free_distance(points, curvature) / speed - age)
     }
 
@@ -579,6 +583,16 @@ mod tests {
         assert_eq!(drive.tick().stop, None);
         drive.run(1.5);
         assert!(matches!(drive.tick().stop, Some(StopReason::ScanAge(_))));
+    }
+
+    #[test]
+    fn the_age_of_a_scan_counts_even_if_it_is_not_limited() {
+        let mut drive = Drive::new(FollowerKnobs { max_scan_age: Seconds(0.0), ..FollowerKnobs::default() });
+        drive.give(&[(0.0, 0.0), (100.0, 0.0)], 100.0).unwrap();
+        drive.run(2.0);
+        drive.follower.on_scan(Stamp::from_seconds(drive.now), vec![Point::new(2.0, 0.0); 3]);
+        assert_eq!(drive.tick().stop, None, "the obstacle is 0.8 s ahead");
+        assert!(matches!(drive.run(0.6).stop, Some(StopReason::Collision(_))), "and 0.2 s ahead after 0.6 s without a scan");
     }
 
     #[test]

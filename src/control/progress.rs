@@ -5,7 +5,7 @@
 //! at the car's position. If several branches are close, the one whose remaining distance is most similar to that of the previous
 //! path is chosen: paths with the same end share it.
 
-use super::path::{Path, Projection};
+use super::path::{Path, Projection, Waypoint};
 use crate::geometry::Pose2;
 use crate::time::Stamp;
 
@@ -32,16 +32,28 @@ pub enum PathUpdate {
 pub struct Progress {
     path: Path,
     stamp: Stamp,
-    projection: Option<Projection>,
-    /// Arc length at which the car joined the path, m. Until the car is found on a new path: the remaining distance on the
-    /// previous one.
-    start: f64,
+    location: Location,
+}
+
+/// Where the car is on the path.
+#[derive(Clone, Copy, Debug)]
+enum Location {
+    /// Not found yet.
+    Unknown {
+        /// Remaining distance on the previous path, m, if there was one.
+        previous_remaining: Option<f64>,
+    },
+    Known {
+        projection: Projection,
+        /// Arc length at which the car joined the path, m.
+        start: f64,
+    },
 }
 
 impl Progress {
     /// A path on which the car has not been found yet.
     pub fn new(path: Path, stamp: Stamp) -> Self {
-        Self { path, stamp, projection: None, start: f64::NAN }
+        Self { path, stamp, location: Location::Unknown { previous_remaining: None } }
     }
 
     /// The path followed.
@@ -54,14 +66,12 @@ impl Progress {
         self.stamp
     }
 
-    /// Projection of the car onto the path, as of the last update.
-    pub fn projection(&self) -> Option<Projection> {
-        self.projection
-    }
-
     /// Distance along the path since the car joined it, m.
     pub fn distance_driven(&self) -> f64 {
-        self.projection.map_or(0.0, |projection| projection.along - self.start)
+        match self.location {
+            Location::Known { projection, start } => projection.along - start,
+            Location::Unknown { .. } => 0.0,
+        }
     }
 
     /// Handles a received path. An older path is ignored; the same path again only updates the stamp.
@@ -73,10 +83,10 @@ impl Progress {
         if is_same(&self.path, &path) {
             return PathUpdate::Unchanged;
         }
-        let before = self.projection.map(|projection| self.path.remaining(projection.along));
+        if let Location::Known { projection, .. } = self.location {
+            self.location = Location::Unknown { previous_remaining: Some(self.path.remaining(projection.along)) };
+        }
         self.path = path;
-        self.projection = self.projection.map(|projection| Projection { along: f64::NAN, ..projection });
-        self.start = before.unwrap_or(f64::NAN);
         PathUpdate::Accepted
     }
 
@@ -88,44 +98,42 @@ impl Progress {
     /// Updates the projection for the car at `pose`, which has moved at most `moved` m since the last update. `None` if no
     /// segment in reach has about the heading of the car.
     pub fn update(&mut self, pose: &Pose2, moved: f64) -> Option<Projection> {
-        let projection = match self.projection.filter(|projection| projection.along.is_finite()) {
-            Some(last) => {
-                let window = MIN_WINDOW + 2.0 * moved;
-                self.path.project(pose, last.along, (last.along + window).min(self.window_end(last.along + window)))
+        let (projection, start) = match self.location {
+            Location::Known { projection: last, start } => {
+                let ahead = last.along + (MIN_WINDOW + 2.0 * moved);
+                let end = if self.path.is_closed() { ahead } else { ahead.min(self.path.length()) };
+                (self.path.project(pose, last.along, end)?, start)
             }
-            None => self.find(pose),
-        }?;
-        self.projection = Some(projection);
+            Location::Unknown { previous_remaining } => {
+                let found = self.find(pose, previous_remaining)?;
+                (found, found.along)
+            }
+        };
+        self.location = Location::Known { projection, start };
         Some(projection)
     }
 
     /// Forgets where the car was, for example after it was picked up and moved.
     pub fn reset(&mut self) {
-        self.projection = None;
-    }
-
-    fn window_end(&self, of_closed: f64) -> f64 {
-        if self.path.is_closed() { of_closed } else { self.path.length() }
+        self.location = Location::Unknown { previous_remaining: None };
     }
 
     /// Searches the whole path for the car.
-    fn find(&mut self, pose: &Pose2) -> Option<Projection> {
+    fn find(&self, pose: &Pose2, previous_remaining: Option<f64>) -> Option<Projection> {
         let end = if self.path.is_closed() { self.path.length().next_down() } else { self.path.length() };
         let nearest = self.path.project(pose, 0.0, end)?;
-        let previous_remaining = self.start;
-        let difference = |candidate: &Projection| (self.path.remaining(candidate.along) - previous_remaining).abs();
         let is_candidate = |candidate: &Projection| candidate.distance <= nearest.distance + AMBIGUITY_MARGIN;
         // The nearest point of each branch that the car may be on. On the first path, and on closed ones, the first branch is
         // chosen.
         let mut candidates = branches(self.path.candidates(pose, 0.0, end).filter(is_candidate)).into_iter();
-        let chosen = if previous_remaining.is_finite() && !self.path.is_closed() {
-            candidates.min_by(|a, b| difference(a).total_cmp(&difference(b)))
-        } else {
-            candidates.next()
+        let chosen = match previous_remaining.filter(|remaining| remaining.is_finite() && !self.path.is_closed()) {
+            Some(previous) => {
+                let difference = |candidate: &Projection| (self.path.remaining(candidate.along) - previous).abs();
+                candidates.min_by(|a, b| difference(a).total_cmp(&difference(b)))
+            }
+            None => candidates.next(),
         };
-        let chosen = chosen.unwrap_or(nearest);
-        self.start = chosen.along;
-        Some(chosen)
+        Some(chosen.unwrap_or(nearest))
     }
 }
 
@@ -148,7 +156,7 @@ fn branches(projections: impl Iterator<Item = Projection>) -> Vec<Projection> {
 }
 
 fn is_same(a: &Path, b: &Path) -> bool {
-    let near = |(a, b): (&super::path::Waypoint, &super::path::Waypoint)| {
+    let near = |(a, b): (&Waypoint, &Waypoint)| {
         (a.point - b.point).norm() <= SAME_POINT_TOLERANCE && a.speed.unwrap_or(0.0).to_bits() == b.speed.unwrap_or(0.0).to_bits()
     };
     a.is_closed() == b.is_closed()
@@ -178,7 +186,7 @@ mod tests {
         let mut progress = Progress::new(line(10, 0.0), stamp(1.0));
         let projection = progress.update(&Pose2::new(4.0, 0.1, 0.0), 0.1).unwrap();
         assert_eq!(
-            (progress.update_path(line(10, 0.0), stamp(2.0)), progress.projection()),
+            (progress.update_path(line(10, 0.0), stamp(2.0)), progress.update(&Pose2::new(4.0, 0.1, 0.0), 0.1)),
             (PathUpdate::Unchanged, Some(projection))
         );
         assert_eq!(progress.update_path(line(20, 0.0), stamp(1.5)), PathUpdate::Outdated, "the newest of reordered paths counts");
@@ -230,18 +238,28 @@ mod tests {
         }
     }
 
+    /// A path of two laps around a square, displaced by `shift`.
+    fn two_laps(shift: f64) -> Path {
+        let lap = [(0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0)];
+        path(&lap.iter().chain(&lap).map(|(x, y)| (x + shift, y + shift)).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn a_car_that_was_moved_is_searched_for_as_on_a_new_path() {
+        let mut progress = Progress::new(two_laps(0.0), stamp(0.0));
+        let pose = progress.path().pose(7.9);
+        let along = progress.update(&pose, 0.1).unwrap().along;
+        progress.reset();
+        assert_eq!(progress.update(&pose, 0.1).unwrap().along.to_bits(), along.to_bits(), "in the first lap again");
+    }
+
     #[test]
     fn a_replanned_path_of_two_laps_is_joined_in_the_current_lap() {
-        let lap = [(0.0, 0.0), (5.0, 0.0), (5.0, 5.0), (0.0, 5.0)];
-        let twice = |shift: f64| path(&lap.iter().chain(&lap).map(|(x, y)| (x + shift, y + shift)).collect::<Vec<_>>());
-        let mut progress = Progress::new(twice(0.0), stamp(0.0));
+        let mut progress = Progress::new(two_laps(0.0), stamp(0.0));
         let drive: Vec<_> = (0..280).map(|i| progress.path().pose(0.1 * f64::from(i))).collect();
-        for pose in &drive {
-            progress.update(pose, 0.1);
-        }
-        let before = progress.projection().unwrap().along;
+        let before = drive.iter().fold(0.0, |_, pose| progress.update(pose, 0.1).unwrap().along);
         assert!((before - 27.9).abs() < 0.2, "{before}");
-        progress.update_path(twice(0.01), stamp(1.0));
+        progress.update_path(two_laps(0.01), stamp(1.0));
         let after = progress.update(&drive[279], 0.1).unwrap().along;
         assert!((after - before).abs() < 0.1, "{before} {after}");
     }

@@ -22,7 +22,7 @@ use crate::control::progress::Progress;
 use crate::geometry::{Point, Pose2};
 use crate::messages::sensor_msgs::LaserScan;
 use crate::simulation::car::Car;
-use crate::simulation::drive::START;
+use crate::simulation::drive::{SCAN_LATENCY_MS, START};
 use crate::simulation::lidar::{Lidar, LidarKnobs};
 use crate::simulation::odometer::{Odometer, OdometerKnobs};
 use crate::simulation::vehicle::{Command, VehicleKnobs};
@@ -30,8 +30,6 @@ use crate::time::Stamp;
 
 /// Step of the simulation, ms.
 const TICK: u64 = 1;
-/// Time from the last ray of a scan to its arrival, ms: laser drivers take some milliseconds.
-const SCAN_LATENCY: u64 = 5;
 /// Period of the commands, ms.
 const COMMAND_PERIOD: u64 = 20;
 /// Sampling period of the true tracking error, ms.
@@ -107,10 +105,8 @@ pub(super) fn drive(setup: &Setup) -> Result<Run, DriveError> {
     let mut drive = ClosedLoop::new(setup, start)?;
     let mut truth = Progress::new(setup.course.path.clone(), START);
     let mut planner = setup.replanning.map(|replanning| Planner::new(replanning, &setup.course.path));
-    match planner.as_mut().and_then(|planner| planner.plan(&start)) {
-        Some(path) => drop(drive.follower.follow_path(path, START)),
-        None => drop(drive.follower.follow_path(setup.course.path.clone(), START)),
-    }
+    let planned = planner.as_mut().and_then(|planner| planner.plan(&start));
+    drive.follower.follow_path(planned.unwrap_or_else(|| setup.course.path.clone()), START);
     let (scan_period, odometry_period) = (period(setup.lidar.rate), period(setup.odometer.rate));
     let mut pending_commands: Vec<(u64, Command)> = Vec::new();
     let mut command = Command::default();
@@ -123,7 +119,7 @@ pub(super) fn drive(setup: &Setup) -> Result<Run, DriveError> {
         }
         if now.is_multiple_of(scan_period) {
             let scan = lidar.scan(|_| setup.course.world.as_ref(), |_| pose, at(now));
-            drive.send(PendingScan { arrival: now + SCAN_LATENCY, scan, truth: (pose, car.twist().vx) });
+            drive.send(PendingScan { arrival: now + u64::from(SCAN_LATENCY_MS), scan, truth: (pose, car.twist().vx) });
         }
         drive.process_scan(now, scan_period);
         drive.deliver_answers(now);

@@ -76,9 +76,7 @@ impl Course {
 
     /// Points on the walls, for the pictures.
     pub fn wall_points(&self) -> Vec<Point> {
-        let Some(map) = &self.map else { return self.visible_walls() };
-        let occupied = map.cells().iter().enumerate().filter(|(_, cell)| **cell == Cell::Occupied);
-        occupied.map(|(index, _)| map.centre(index % map.width(), index / map.width())).collect()
+        self.map.as_ref().map_or_else(|| self.visible_walls(), |map| map.centres(Cell::Occupied))
     }
 
     /// Points on the walls that are visible from the path.

@@ -13,18 +13,20 @@ use crate::geometry::{Point, Pose2};
 use crate::quantile::quantile;
 
 /// How a drive ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Ending {
     /// All laps are complete.
     Finished,
     /// The car hit a wall.
     Hit,
     /// The car stopped for good.
+    #[default]
     Stopped,
 }
 
 impl Ending {
-    fn name(self) -> &'static str {
+    /// One word.
+    pub fn name(self) -> &'static str {
         match self {
             Self::Finished => "finished",
             Self::Hit => "hit",
@@ -43,7 +45,7 @@ pub struct Trace {
 }
 
 /// Results of one drive.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Run {
     /// Seed of the drive.
     pub seed: u32,
@@ -94,42 +96,12 @@ pub struct Run {
 
 impl Run {
     pub(super) fn new(seed: u32) -> Self {
-        Self {
-            seed,
-            ending: Ending::Stopped,
-            laps: 0.0,
-            seconds: 0.0,
-            trace: Vec::new(),
-            errors: Vec::new(),
-            lap_ends: Vec::new(),
-            ages: Vec::new(),
-            answers: 0,
-            late: 0,
-            overdue: 0,
-            failed: 0,
-            dropped: 0,
-            work: Duration::ZERO,
-            stops: 0,
-            first_stop: None,
-            line_jump: 0.0,
-            conditions: Vec::new(),
-            outside: 0,
-            first_outside: None,
-            poses: 0,
-            squared_pose_errors: 0.0,
-            worst_pose_error: 0.0,
-            squared_lateral_and_heading: [0.0; 2],
-        }
+        Self { seed, ..Self::default() }
     }
 
     /// Whether all laps were completed.
     pub fn is_finished(&self) -> bool {
         self.ending == Ending::Finished
-    }
-
-    /// How the drive ended, as a word.
-    pub fn ending_name(&self) -> &'static str {
-        self.ending.name()
     }
 
     /// Drops the details that the summary does not need, and the trace unless `keep_trace`.
@@ -248,7 +220,7 @@ impl Figures {
         let ages: Vec<f64> = runs.iter().flat_map(|run| run.ages.iter().copied()).collect();
         Self {
             runs: runs.len(),
-            finished: runs.iter().filter(|run| run.ending == Ending::Finished).count(),
+            finished: runs.iter().filter(|run| run.is_finished()).count(),
             hits: runs.iter().filter(|run| run.ending == Ending::Hit).count(),
             laps,
             lateral: lateral(runs.iter().flat_map(|run| run.errors.iter().copied()).collect()),

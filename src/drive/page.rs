@@ -7,7 +7,7 @@ use std::path::Path;
 use super::study::{HEADER, Outcome, Study, remarks, row};
 use super::{DriveError, pictures};
 use crate::output;
-use crate::profile::html::{STYLE, escaped, table};
+use crate::profile::html::{beginning, escaped, table};
 
 /// Maximum number of cases whose driven paths are shown.
 const MAX_PATH_PICTURES: usize = 12;
@@ -36,7 +36,7 @@ impl Study<'_> {
             for run in outcome.runs.iter().filter(|run| !run.trace.is_empty()) {
                 let svg = pictures::path(self.course, run)?;
                 file(&format!("path_{number}_seed_{}.svg", run.seed), &svg)?;
-                shown.push((format!("{}, seed {}: {}", outcome.case, run.seed, run.ending_name()), svg));
+                shown.push((format!("{}, seed {}: {}", outcome.case, run.seed, run.ending.name()), svg));
             }
         }
         file("figures.json", &format!("{:#}\n", self.to_json(outcomes)))?;
@@ -46,17 +46,14 @@ impl Study<'_> {
 
 /// Renders the page. `pictures` are (title, SVG) pairs.
 fn report(study: &Study, outcomes: &[Outcome], pictures: &[(String, String)]) -> String {
-    let fact = |(name, value): &(&str, String)| format!("<tr><td>{name}</td><td>{}</td></tr>\n", escaped(value));
-    let facts = study.facts().iter().map(fact).collect::<Vec<_>>().concat();
-    let mut page = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
-         <title>Closed-loop drives in {0}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>Closed-loop drives in {0}</h1>\n<pre>{1}</pre>\n\
-         <table class=\"facts\">\n{facts}</table>\n<h2>Results</h2>\n{2}{3}<p>{EXPLANATION}</p>\n",
-        escaped(&study.course.name),
-        escaped(&study.command),
-        table(&HEADER, outcomes.iter().map(row)),
-        remarks(outcomes).iter().fold(String::new(), |text, remark| text + "<p>" + &escaped(remark) + "</p>\n"),
-    );
+    let title = format!("Closed-loop drives in {}", study.course.name);
+    let mut page = beginning(&title, &title, &study.command, &study.facts());
+    let results = table(&HEADER, outcomes.iter().map(row));
+    let _ = write!(page, "<h2>Results</h2>\n{results}");
+    for remark in remarks(outcomes) {
+        let _ = writeln!(page, "<p>{}</p>", escaped(&remark));
+    }
+    let _ = writeln!(page, "<p>{EXPLANATION}</p>");
     for (title, svg) in pictures {
         let _ = write!(page, "<h2>{}</h2>\n<figure>\n{svg}</figure>\n", escaped(title));
     }

@@ -1,11 +1,12 @@
 //! A simulated processor: how long work takes on it while other programs load it.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use crate::anytime::clock::Clock;
 use crate::anytime::cost_model::{CostModel, Phase};
 use crate::anytime::interrupt::Interrupt;
+use crate::parallel::lock;
 
 /// Duration of a load burst.
 const BURST: Duration = Duration::from_millis(400);
@@ -71,7 +72,7 @@ impl Processor {
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 
     /// Sets the time at which the next work begins.

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::geometry::{Point, Pose2, perpendicular};
 use crate::map::distance::DistanceField;
-use crate::map::grid::{Cell, OccupancyGrid};
+use crate::map::grid::OccupancyGrid;
 
 /// Successive limits of the distance between a point and a wall in the refinement, m.
 const LIMITS: [f64; 4] = [2.0, 0.7, 0.3, 0.15];
@@ -48,11 +48,7 @@ impl<'a> Field<'a> {
     fn of(map: &'a OccupancyGrid) -> Self {
         // A distance field is blocked beyond its edge.
         let margin = (2.0 * LIMITS[0] / map.resolution()).ceil() as usize;
-        let width = map.width() + 2 * margin;
-        let mut walls = vec![false; width * (map.height() + 2 * margin)];
-        for (i, _) in map.cells().iter().enumerate().filter(|(_, cell)| **cell == Cell::Occupied) {
-            walls[(i / map.width() + margin) * width + i % map.width() + margin] = true;
-        }
+        let (walls, width) = map.padded_walls(margin);
         Self { map, margin: margin as i64, distances: DistanceField::new(width, walls) }
     }
 
@@ -166,6 +162,7 @@ impl<'a> Field<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::map::grid::Cell;
 
     /// The centres of the wall cells of an L-shaped room, 20 m x 12 m and 8 m x 6 m.
     fn walls() -> Vec<Point> {

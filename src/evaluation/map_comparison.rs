@@ -15,6 +15,7 @@ use serde_json::{Value, json};
 use super::map_alignment::alignment;
 use crate::geometry::{Point, Pose2, RigidTransform};
 use crate::map::grid::{Cell, OccupancyGrid};
+use crate::map::indoors::flood;
 use crate::quantile;
 
 /// Distances above this count as errors, m.
@@ -82,11 +83,11 @@ impl MapComparison {
     /// `hit` marks the cells of the truth that rays have hit: only these walls can be missed. Without it, the walls near free cells of
     /// the map count as visible.
     pub fn new(map: &OccupancyGrid, truth: &OccupancyGrid, align: bool, hit: Option<&[bool]>) -> Self {
-        let (walls, true_walls) = (centres(map, Cell::Occupied), centres(truth, Cell::Occupied));
+        let (walls, true_walls) = (map.centres(Cell::Occupied), truth.centres(Cell::Occupied));
         let truth_from_map = if align { alignment(&walls, truth) } else { Pose2::IDENTITY };
         let transform = truth_from_map.transform();
         let moved = |points: Vec<Point>| points.into_iter().map(|point| transform.apply(point)).collect::<Vec<_>>();
-        let (walls, free) = (moved(walls), moved(centres(map, Cell::Free)));
+        let (walls, free) = (moved(walls), moved(map.centres(Cell::Free)));
         let is_wall = |point: &Point| cell_at(truth, point) == Some(Cell::Occupied);
         let visible = hit.map_or_else(|| visible_walls(truth, map, &transform), |hit| walls_hit(truth, hit));
         Self {
@@ -150,12 +151,6 @@ impl fmt::Display for MapComparison {
     }
 }
 
-/// Centres of all cells of a kind, in the map frame.
-fn centres(map: &OccupancyGrid, kind: Cell) -> Vec<Point> {
-    let cells = map.cells().iter().enumerate().filter(|(_, cell)| **cell == kind);
-    cells.map(|(i, _)| map.centre(i % map.width(), i / map.width())).collect()
-}
-
 #[allow(clippy::cast_possible_truncation)] // saturates
 fn cell_at(map: &OccupancyGrid, point: &Point) -> Option<Cell> {
     let place = map.coordinates(*point);
@@ -186,7 +181,7 @@ fn visible_walls(truth: &OccupancyGrid, map: &OccupancyGrid, truth_from_map: &Ri
         let beside = [Point::x(), -Point::x(), Point::y(), -Point::y()].map(|step| wall + step * truth.resolution());
         beside.iter().any(|place| cell_at(truth, place) != Some(Cell::Occupied))
     };
-    let mut walls = centres(truth, Cell::Occupied);
+    let mut walls = truth.centres(Cell::Occupied);
     walls.retain(is_surface);
     walls.retain(|wall| {
         let place = inverse(wall);
@@ -234,11 +229,7 @@ impl Walls {
     const MIN_CORNER_RESPONSE: f64 = 2.0;
 
     fn of(map: &OccupancyGrid) -> Self {
-        let width = map.width() + 2 * Self::MARGIN;
-        let mut cells = vec![false; width * (map.height() + 2 * Self::MARGIN)];
-        for (i, _) in map.cells().iter().enumerate().filter(|(_, cell)| **cell == Cell::Occupied) {
-            cells[(i / map.width() + Self::MARGIN) * width + i % map.width() + Self::MARGIN] = true;
-        }
+        let (cells, width) = map.padded_walls(Self::MARGIN);
         Self { width, cells }
     }
 
@@ -269,25 +260,9 @@ impl Walls {
 
     /// Number of areas that are not 4-connected to the outside.
     fn enclosed_areas(&self) -> usize {
-        let mut seen = self.cells.clone();
-        let mut areas = 0;
-        for start in 0..seen.len() {
-            if std::mem::replace(&mut seen[start], true) {
-                continue;
-            }
-            areas += 1;
-            let mut next = vec![start];
-            while let Some(i) = next.pop() {
-                for neighbour in [i.checked_sub(1), Some(i + 1), i.checked_sub(self.width), Some(i + self.width)] {
-                    if let Some(j) = neighbour.filter(|&j| j < seen.len())
-                        && !std::mem::replace(&mut seen[j], true)
-                    {
-                        next.push(j);
-                    }
-                }
-            }
-        }
-        areas - usize::from(!self.cells.is_empty())
+        let mut visited = self.cells.clone();
+        let areas = (0..visited.len()).filter(|&start| !flood(start, self.width, &mut visited).is_empty()).count();
+        areas - 1 // without the outside, to which the margin belongs
     }
 }
 

@@ -51,14 +51,26 @@ impl GrayImage {
 
     /// Writes a PNG file.
     pub fn write_png(&self, writer: impl Write) -> io::Result<()> {
-        let size = |pixels: usize| u32::try_from(pixels).map_err(io::Error::other);
-        let mut encoder = png::Encoder::new(BufWriter::new(writer), size(self.width)?, size(self.height())?);
-        encoder.set_color(png::ColorType::Grayscale);
-        encoder.set_depth(png::BitDepth::Eight);
-        let mut writer = encoder.write_header()?;
-        writer.write_image_data(&self.pixels)?;
-        Ok(writer.finish()?)
+        write_png(writer, self.width, &self.pixels, None)
     }
+}
+
+/// Writes a PNG file of pixels stored row by row from the top left: shades of grey, or indices of a palette, which has red, green
+/// and blue of each colour.
+pub fn write_png(writer: impl Write, width: usize, pixels: &[u8], palette: Option<Vec<u8>>) -> io::Result<()> {
+    let size = |pixels: usize| u32::try_from(pixels).map_err(io::Error::other);
+    let mut encoder = png::Encoder::new(BufWriter::new(writer), size(width)?, size(pixels.len() / width)?);
+    encoder.set_depth(png::BitDepth::Eight);
+    match palette {
+        Some(palette) => {
+            encoder.set_color(png::ColorType::Indexed);
+            encoder.set_palette(palette);
+        }
+        None => encoder.set_color(png::ColorType::Grayscale),
+    }
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(pixels)?;
+    Ok(writer.finish()?)
 }
 
 fn decode_png(bytes: &[u8]) -> Result<GrayImage, png::DecodingError> {

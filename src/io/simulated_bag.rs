@@ -26,7 +26,7 @@ use super::tum::TumWriter;
 
 /// Why a drive could not be written.
 #[derive(Debug, Error)]
-pub enum RecordError {
+pub enum DriveRecordError {
     /// The bag cannot be written.
     #[error(transparent)]
     Bag(#[from] BagError),
@@ -135,9 +135,9 @@ pub fn record<W: Write>(
     scene: &Scene,
     mut bag: BagWriter,
     mut truth: TumWriter<W>,
-) -> Result<u64, RecordError> {
+) -> Result<u64, DriveRecordError> {
     let mut scans = 0;
-    simulate(settings, scene, |time, message| -> Result<(), RecordError> {
+    simulate(settings, scene, |time, message| -> Result<(), DriveRecordError> {
         match message {
             SimulatedMessage::Mount(message) => bag.write_latched(MOUNT_TOPIC, time, &message)?,
             SimulatedMessage::Odometry(message) => {
@@ -145,7 +145,7 @@ pub fn record<W: Write>(
                 bag.write("/odom", time, &message)?;
             }
             SimulatedMessage::Truth { stamp, map_from_base } => {
-                truth.write(&StampedPose { stamp, pose: map_from_base }).map_err(RecordError::Truth)?;
+                truth.write(&StampedPose { stamp, pose: map_from_base }).map_err(DriveRecordError::Truth)?;
                 bag.write(TRUTH_TOPIC, time, &truth_message(stamp, map_from_base))?;
             }
             SimulatedMessage::Scan(message) => {
@@ -155,7 +155,7 @@ pub fn record<W: Write>(
         }
         Ok(())
     })?;
-    truth.flush().map_err(RecordError::Truth)?;
+    truth.flush().map_err(DriveRecordError::Truth)?;
     bag.finish()?;
     Ok(scans)
 }

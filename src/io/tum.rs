@@ -12,7 +12,7 @@ use crate::messages::geometry_msgs::Quaternion;
 
 const COLUMNS: &str = "timestamp x y z qx qy qz qw";
 /// Maximum deviation of a quaternion's norm from 1: accepts files with three decimals, but rejects columns in the wrong order.
-const NORM_TOLERANCE: f64 = 0.01;
+pub(super) const NORM_TOLERANCE: f64 = 0.01;
 
 /// Reads a trajectory from a file.
 pub fn read(path: &Path) -> Result<Trajectory, TextFileError> {

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use super::agreement;
 use super::model::Model;
-use super::particles::{Particles, effective_number};
+use super::particles::{Particles, bin_of, effective_number, is_near};
 use crate::anytime::mode::Conditions;
 use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 
@@ -16,8 +16,6 @@ const MIN_LOCALIZED_SHARE: f64 = 0.9;
 const MAX_COMPACT_SIGMA: f64 = 0.5;
 /// Size of the bins for finding the heaviest cluster: m, rad.
 const BIN_SIZE: (f32, f32) = (0.5, 0.35);
-/// Maximum distance of the cluster's particles from the heaviest bin: m, rad.
-const CLUSTER_RADIUS: (f32, f32) = (1.0, 0.6);
 
 /// The belief of the filter, summarized as one pose.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,7 +73,7 @@ struct Mean {
 /// Computes the belief from weighted particles; the fields about the scan are left empty.
 pub(super) fn belief(model: &Model, particles: &Particles, weights: &[f32]) -> Belief {
     let mean = mean(particles, weights, model.grid.resolution());
-    let (sin, cos) = model.grid.pose_in_map(&Pose2::IDENTITY).theta.sin_cos();
+    let (sin, cos) = model.grid.origin().theta.sin_cos();
     let rotation = nalgebra::Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
     Belief {
         map_from_base: model.grid.pose_in_map(&mean.pose),
@@ -96,22 +94,15 @@ fn mean(particles: &Particles, weights: &[f32], resolution: f64) -> Mean {
     if all.covariance.m11 + all.covariance.m22 < MAX_COMPACT_SIGMA * MAX_COMPACT_SIGMA {
         return all;
     }
-    let per_cell = resolution as f32;
-    let mut bins: HashMap<(i32, i32, i32), f64> = HashMap::new();
-    let bin_of = |[x, y, theta]: [f32; 3]| {
-        let bin = |value: f32, size: f32| (value / size).floor() as i32;
-        (bin(x * per_cell, BIN_SIZE.0), bin(y * per_cell, BIN_SIZE.0), bin(theta, BIN_SIZE.1))
-    };
+    let bin = |pose: [f32; 3]| bin_of(pose, resolution as f32, BIN_SIZE);
+    let mut bins: HashMap<_, f64> = HashMap::new();
     for (index, &weight) in weights.iter().enumerate() {
-        *bins.entry(bin_of(particles.pose(index))).or_default() += f64::from(weight);
+        *bins.entry(bin(particles.pose(index))).or_default() += f64::from(weight);
     }
     // Equally heavy bins are ordered by index, so that the result does not depend on the order of the hash map.
     let heaviest = bins.iter().max_by(|a, b| a.1.total_cmp(b.1).then_with(|| b.0.cmp(a.0))).map(|(bin, _)| *bin);
-    let seed = mean_of(particles, weights, resolution, |pose| Some(bin_of(pose)) == heaviest).pose;
-    mean_of(particles, weights, resolution, |[x, y, theta]| {
-        let near = (x - seed.x as f32).hypot(y - seed.y as f32) * per_cell < CLUSTER_RADIUS.0;
-        near && wrap_angle(f64::from(theta) - seed.theta).abs() < CLUSTER_RADIUS.1.into()
-    })
+    let seed = mean_of(particles, weights, resolution, |pose| Some(bin(pose)) == heaviest).pose;
+    mean_of(particles, weights, resolution, |pose| is_near(pose, &seed, resolution as f32))
 }
 
 fn mean_of(particles: &Particles, weights: &[f32], resolution: f64, belongs: impl Fn([f32; 3]) -> bool) -> Mean {

@@ -2,12 +2,11 @@
 
 use std::ops::Range;
 
+use super::model::Model;
 use super::observation::Observation;
 use super::particles::{Particles, effective_number, relative};
-use super::sensor::BeamTable;
 use super::streams::CHUNK;
-use crate::parallel::Workers;
-use crate::raycasting::{RayCaster, Viewpoint};
+use crate::raycasting::Viewpoint;
 
 /// Maximum number of rays (over all particles) cast before the clock is read again: a fraction of a millisecond of work.
 const RAYS_PER_STEP: usize = 8192;
@@ -54,20 +53,12 @@ impl Evidence {
     }
 
     /// Processes the beams of the next step.
-    pub(super) fn process_next(&mut self, model: &BeamTable, caster: &dyn RayCaster, workers: &Workers) {
+    pub(super) fn process_next(&mut self, model: &Model) {
         let beams = self.next_beams();
-        let fan = self.observation.fan.subset(beams.clone());
-        let max_range = self.observation.max_range;
-        let rows = model.rows(&self.observation.ranges[beams.clone()]);
-        let tasks = self.views.chunks(CHUNK).zip(self.log_likelihoods.chunks_mut(CHUNK));
-        workers.for_each(tasks, |_, (views, log_likelihoods)| {
-            let mut lengths = vec![0.0; fan.len() * views.len()];
-            caster.cast(views, &fan, &mut lengths);
-            for (row, lengths) in rows.iter().zip(lengths.chunks_exact(views.len())) {
-                model.add_log_likelihoods(row, max_range, lengths, log_likelihoods);
-            }
-        });
         self.processed = beams.end;
+        let scan = self.observation.subset(beams);
+        let tasks = self.views.chunks(CHUNK).zip(self.log_likelihoods.chunks_mut(CHUNK));
+        model.workers.for_each(tasks, |_, (views, sums)| model.add_log_likelihoods(&model.beams, &scan, views, sums));
     }
 
     /// Computes the log-weights after the beams so far, and the exponent of the scan's likelihood in them. The exponent is at

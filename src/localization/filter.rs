@@ -11,7 +11,7 @@ use super::evidence::Evidence;
 use super::model::Model;
 use super::motion::{MotionKnobs, UncertainMotion};
 use super::observation::Observation;
-use super::particles::{Particles, relative};
+use super::particles::{Particles, SAME_HYPOTHESIS, relative};
 use super::resampling::{kld_count, low_variance};
 use super::search::Search;
 use super::sensor::SensorKnobs;
@@ -26,8 +26,6 @@ use crate::map::grid::OccupancyGrid;
 use crate::matching::StopReason;
 use crate::raycasting::Fan;
 
-/// Maximum distance of two poses that count as the same, m and rad.
-const SAME_POSE: (f64, f64) = (1.0, 0.6);
 /// Motion after which a scan is independent evidence, m and rad. Scans from nearer poses show the same parts of the same walls
 /// and share the errors of the map and of ray casting, so together they are no more evidence than one. The distance is two cells
 /// of a typical map.
@@ -249,7 +247,8 @@ impl ParticleFilter {
         let Some((candidate, explained)) = search.candidate().filter(|_| !search.is_busy()) else { return };
         let here = estimate::belief(&self.model, &self.particles, &relative(&self.particles.log_weight)).map_from_base;
         let difference = here.between(&candidate.map_from_base);
-        if !self.particles.is_empty() && difference.distance() < SAME_POSE.0 && difference.theta.abs() < SAME_POSE.1 {
+        let is_same = difference.distance() < SAME_HYPOTHESIS.0 && difference.theta.abs() < SAME_HYPOTHESIS.1;
+        if !self.particles.is_empty() && is_same {
             self.agreement.accept_current_level();
             self.search = None;
         } else if self.particles.is_empty() || explained >= self.agreement.recent() + MIN_ADVANTAGE {
@@ -274,7 +273,7 @@ impl ParticleFilter {
     /// Processes the beams of the next step.
     pub(super) fn process_next_beams(&mut self) {
         self.rays += (self.next_beams() * self.len()) as u64;
-        self.evidence.process_next(&self.model.beams, &*self.model.caster, &self.model.workers);
+        self.evidence.process_next(&self.model);
     }
 
     /// Computes the belief after the beams so far. Without a cloud, it is that of the global search.

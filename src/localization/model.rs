@@ -39,14 +39,17 @@ impl Model {
         motion: &MotionKnobs,
         sensor: &SensorKnobs,
     ) -> std::io::Result<Self> {
-        let casting = knobs.ray_casting.unwrap_or_else(|| RayCasting::fastest_for(&grid));
+        let max_range = sensor.max_range / grid.resolution();
         Ok(Self {
             knobs: knobs.clone(),
             motion: motion.clone(),
             sensor: sensor.clone(),
             beams: BeamTable::new(sensor, grid.resolution()),
             global_beams: BeamTable::new(&sensor.global(), grid.resolution()),
-            caster: casting.caster(&grid, sensor.max_range / grid.resolution()),
+            caster: match knobs.ray_casting {
+                Some(method) => method.caster(&grid, max_range),
+                None => RayCasting::fastest_caster(&grid, max_range),
+            },
             indoors: indoor_cells(&grid),
             grid,
             workers: Workers::new(knobs.threads as usize)?,
@@ -101,6 +104,15 @@ impl Model {
         let chunks = x.chunks_mut(CHUNK).zip(y.chunks_mut(CHUNK)).zip(theta.chunks_mut(CHUNK)).zip(scale.chunks_mut(CHUNK));
         self.workers
             .for_each(chunks, |chunk, (((x, y), theta), scale)| self.move_chunk(motion, step, chunk, [x, y, theta, scale]));
+    }
+
+    /// Adds the log-likelihoods of a scan, by this beam model, to those of the particles whose lasers are at `views`.
+    pub(super) fn add_log_likelihoods(&self, table: &BeamTable, scan: &Observation, views: &[Viewpoint], sums: &mut [f32]) {
+        let mut lengths = vec![0.0; scan.len() * views.len()];
+        self.caster.cast(views, &scan.fan, &mut lengths);
+        for (&range, lengths) in scan.ranges.iter().zip(lengths.chunks_exact(views.len())) {
+            table.add_log_likelihoods(range, scan.max_range, lengths, sums);
+        }
     }
 
     /// Converts the pose of a laser on the base to cells.

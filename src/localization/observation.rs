@@ -1,5 +1,7 @@
 //! An observation: the beams of a scan that the filter uses.
 
+use std::ops::Range;
+
 use crate::raycasting::Fan;
 use crate::scan::Scan;
 use crate::time::Stamp;
@@ -38,6 +40,11 @@ impl Observation {
     /// Beams at these angles, rad, with these ranges, m.
     pub(super) fn of(angles: Vec<f64>, ranges: Vec<f64>) -> Self {
         Self { stamp: Stamp::default(), fan: Fan::new(angles), ranges, max_range: f64::INFINITY }
+    }
+
+    /// A subset of the beams, by index.
+    pub(super) fn subset(&self, beams: Range<usize>) -> Self {
+        Self { fan: self.fan.subset(beams.clone()), ranges: self.ranges[beams].to_vec(), ..*self }
     }
 
     /// Number of beams.

@@ -1,5 +1,10 @@
 //! The particles as a structure of arrays: each step reads only the arrays that it needs.
 
+use crate::geometry::{Pose2, wrap_angle};
+
+/// Maximum distance of two poses of the same hypothesis, m and rad.
+pub(super) const SAME_HYPOTHESIS: (f64, f64) = (1.0, 0.6);
+
 /// Poses of the base in grid coordinates, with their weights.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Particles {
@@ -43,6 +48,18 @@ impl Particles {
     pub(super) fn pose(&self, index: usize) -> [f32; 3] {
         [self.x[index], self.y[index], self.theta[index]]
     }
+}
+
+/// The bin that contains a pose of the grid, for bins of this size: m, rad. `resolution`: size of a cell, m.
+pub(super) fn bin_of([x, y, theta]: [f32; 3], resolution: f32, size: (f32, f32)) -> (i32, i32, i32) {
+    let bin = |value: f32, size: f32| (value / size).floor() as i32;
+    (bin(x * resolution, size.0), bin(y * resolution, size.0), bin(theta, size.1))
+}
+
+/// Whether a pose of the grid belongs to the hypothesis at `centre`, in cells. `resolution`: size of a cell, m.
+pub(super) fn is_near([x, y, theta]: [f32; 3], centre: &Pose2, resolution: f32) -> bool {
+    let distance = (x - centre.x as f32).hypot(y - centre.y as f32) * resolution;
+    f64::from(distance) < SAME_HYPOTHESIS.0 && wrap_angle(f64::from(theta) - centre.theta).abs() < SAME_HYPOTHESIS.1
 }
 
 /// Converts log-weights to weights, scaled so that the largest is 1.

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use super::particles::Particles;
+use super::particles::{Particles, bin_of};
 
 /// Size of the bins of KLD sampling: m, rad.
 const BIN_SIZE: (f32, f32) = (0.5, 0.175);
@@ -31,9 +31,7 @@ pub(super) fn kld_count(particles: &Particles, chosen: impl Iterator<Item = usiz
     let mut last = usize::MAX;
     for index in chosen {
         if index != last {
-            let [x, y, theta] = particles.pose(index);
-            let bin = |value: f32, size: f32| (value / size).floor() as i32;
-            bins.insert((bin(x * resolution, BIN_SIZE.0), bin(y * resolution, BIN_SIZE.0), bin(theta, BIN_SIZE.1)));
+            bins.insert(bin_of(particles.pose(index), resolution, BIN_SIZE));
         }
         last = index;
     }

@@ -13,13 +13,13 @@ use super::evidence::{fit, posterior};
 use super::model::Model;
 use super::motion::UncertainMotion;
 use super::observation::Observation;
-use super::particles::{Particles, relative};
+use super::particles::{Particles, is_near, relative};
 use super::recovery::Fit;
 use super::resampling::{kld_count, low_variance};
 use super::sensor::expected_fit;
 use super::streams::{CHUNK, Step, Streams};
 use super::view::View;
-use crate::geometry::{Pose2, wrap_angle};
+use crate::geometry::Pose2;
 
 /// Maximum work per second of the robot's time, in rays: a fifth of what one core casts on a whole map (`cargo bench --bench
 /// raycasting`).
@@ -46,8 +46,6 @@ const MIN_UNIQUE_SHARE: f64 = 0.99;
 /// Distance that the robot must drive with one hypothesis and no competing one before it is accepted, m. In corridors, several
 /// places look alike for a while.
 const MIN_UNIQUE_DISTANCE: f64 = 2.0;
-/// Maximum distance of the candidate's particles from its pose: m, rad.
-const CLUSTER_RADIUS: (f32, f32) = (1.0, 0.6);
 
 /// The next stage of the work.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -210,7 +208,6 @@ impl Search {
         let TimedMotion { motion, seconds } = self.before;
         let motion = (seconds > 0.0).then(|| UncertainMotion::new(&model.motion, &motion, seconds));
         let (mount, scan, step) = (model.mount(&self.base_from_laser), &self.scan, self.step);
-        let rows = model.global_beams.rows(&scan.ranges);
         let Particles { x, y, theta, scale, .. } = &mut self.particles;
         let poses = x[first..end].chunks_mut(CHUNK).zip(y[first..end].chunks_mut(CHUNK)).zip(theta[first..end].chunks_mut(CHUNK));
         let poses = poses.zip(scale[first..end].chunks_mut(CHUNK));
@@ -220,11 +217,7 @@ impl Search {
                 model.move_chunk(motion, step, first / CHUNK + chunk, [&mut *x, &mut *y, &mut *theta, scale]);
             }
             let views: Vec<_> = (0..x.len()).map(|i| mount.view(x[i], y[i], theta[i])).collect();
-            let mut lengths = vec![0.0; scan.len() * views.len()];
-            model.caster.cast(&views, &scan.fan, &mut lengths);
-            for (row, lengths) in rows.iter().zip(lengths.chunks_exact(views.len())) {
-                model.global_beams.add_log_likelihoods(row, scan.max_range, lengths, sums);
-            }
+            model.add_log_likelihoods(&model.global_beams, scan, &views, sums);
         });
     }
 
@@ -332,12 +325,9 @@ impl Search {
         let mut there = Particles::default();
         let Some(belief) = &self.belief else { return there };
         let centre = model.grid.pose_in_cells(&(belief.map_from_base * self.since.motion.inverse()));
-        let per_cell = model.grid.resolution() as f32;
         let mut weights = relative(&self.particles.log_weight);
         for (index, weight) in weights.iter_mut().enumerate() {
-            let [x, y, theta] = self.particles.pose(index);
-            let is_near = (x - centre.x as f32).hypot(y - centre.y as f32) * per_cell < CLUSTER_RADIUS.0;
-            if !is_near || wrap_angle(f64::from(theta) - centre.theta).abs() > CLUSTER_RADIUS.1.into() {
+            if !is_near(self.particles.pose(index), &centre, model.grid.resolution() as f32) {
                 *weight = 0.0;
             }
         }

@@ -59,21 +59,12 @@ impl BeamTable {
         Self { bins, log_likelihoods, bins_per_cell: (resolution / BIN_WIDTH) as f32 }
     }
 
-    /// The rows of the table for beams with these measured ranges, m.
-    pub(super) fn rows(&self, ranges: &[f64]) -> Vec<&[f32]> {
-        let row = |&range: &f64| {
-            let bin = ((range / BIN_WIDTH) as usize).min(self.bins - 1);
-            &self.log_likelihoods[bin * self.bins..][..self.bins]
-        };
-        ranges.iter().map(row).collect()
-    }
-
-    /// Adds the log-likelihood of one beam, given by its row, to that of each particle whose expected ranges are `lengths`,
+    /// Adds the log-likelihood of a beam that measured `range`, m, to that of each particle whose expected ranges are `lengths`,
     /// cells. Expected ranges beyond the laser's `max_range`, m, count as out of range.
-    #[inline]
-    pub(super) fn add_log_likelihoods(&self, row: &[f32], max_range: f64, lengths: &[f32], sums: &mut [f32]) {
-        let (row, last) = (&row[..self.bins], self.bins - 1);
-        let max_range = ((max_range / BIN_WIDTH) as usize).min(last);
+    pub(super) fn add_log_likelihoods(&self, range: f64, max_range: f64, lengths: &[f32], sums: &mut [f32]) {
+        let last = self.bins - 1;
+        let bin_of = |range: f64| ((range / BIN_WIDTH) as usize).min(last);
+        let (row, max_range) = (&self.log_likelihoods[bin_of(range) * self.bins..][..self.bins], bin_of(max_range));
         for (sum, length) in sums.iter_mut().zip(lengths) {
             let bin = (length * self.bins_per_cell) as usize;
             *sum += row[if bin < max_range { bin } else { last }];

@@ -102,6 +102,24 @@ impl OccupancyGrid {
         self.map_from_grid.apply(Point::new(column as f64 + 0.5, row as f64 + 0.5) * self.resolution)
     }
 
+    /// The centres of all cells of a kind in the map frame.
+    pub fn centres(&self, kind: Cell) -> Vec<Point> {
+        let cells = self.cells.iter().enumerate().filter(|(_, cell)| **cell == kind);
+        cells.map(|(index, _)| self.centre(index % self.width, index / self.width)).collect()
+    }
+
+    /// Whether each cell is occupied, in a grid with `margin` more cells on every side, which are not; and the width of that grid.
+    pub fn padded_walls(&self, margin: usize) -> (Vec<bool>, usize) {
+        let width = self.width + 2 * margin;
+        let mut walls = vec![false; width * (self.height + 2 * margin)];
+        for (row, cells) in walls.chunks_exact_mut(width).skip(margin).zip(self.cells.chunks_exact(self.width)) {
+            for (is_wall, cell) in row[margin..].iter_mut().zip(cells) {
+                *is_wall = *cell == Cell::Occupied;
+            }
+        }
+        (walls, width)
+    }
+
     /// Converts a point from the map frame to fractional column and row.
     pub fn coordinates(&self, point: Point) -> Point {
         self.grid_from_map.apply(point) / self.resolution

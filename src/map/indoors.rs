@@ -38,19 +38,16 @@ fn outdoors(grid: &OccupancyGrid) -> Vec<bool> {
     // A distance field is blocked all around, but the surroundings of the map are outdoors. The margin is wide enough to hide the
     // difference.
     let margin = (HALF_GAP / grid.resolution()).ceil() as usize + 2;
-    let (width, height) = (grid.width() + 4 * margin, grid.height() + 4 * margin);
+    let (walls, width) = grid.padded_walls(2 * margin);
     let padded = |index: usize| (index / grid.width() + 2 * margin) * width + index % grid.width() + 2 * margin;
     let within = |cells: Vec<bool>, gap: f64| -> Vec<bool> {
+        let indices = 0..cells.len();
         let distances = DistanceField::new(width, cells);
         let near = |index: usize| distances.at((index % width) as i64, (index / width) as i64) * grid.resolution() <= gap;
-        (0..width * height).map(near).collect()
+        indices.map(near).collect()
     };
-    let mut walls = vec![false; width * height];
-    for (index, _) in grid.cells().iter().enumerate().filter(|(_, cell)| **cell == Cell::Occupied) {
-        walls[padded(index)] = true;
-    }
     let mut visited = within(walls, HALF_GAP);
-    let mut reached = vec![false; width * height];
+    let mut reached = vec![false; visited.len()];
     for index in flood(margin * width + margin, width, &mut visited) {
         reached[index] = true;
     }
@@ -59,7 +56,7 @@ fn outdoors(grid: &OccupancyGrid) -> Vec<bool> {
 }
 
 /// Flood fill: returns the cells not yet visited that are 4-connected to `start`, and marks them as visited.
-fn flood(start: usize, width: usize, visited: &mut [bool]) -> Vec<usize> {
+pub fn flood(start: usize, width: usize, visited: &mut [bool]) -> Vec<usize> {
     let mut reached = Vec::new();
     if !std::mem::replace(&mut visited[start], true) {
         reached.push(start);

@@ -10,7 +10,7 @@ use nalgebra::Matrix3;
 
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::classic::rejection::RejectionKnobs;
-use crate::matching::{FirstGuess, Matcher, MatchingKnobs, PlacedView, View};
+use crate::matching::{FirstGuess, Matcher, MatchingKnobs, PlacedView, SearchWindow, View};
 use crate::odometry::uncertainty;
 use crate::scan::Scan;
 
@@ -21,6 +21,8 @@ const MIN_ERROR: f64 = 0.005;
 const MIN_ROTATION_ERROR: f64 = 0.001;
 /// Two keyframes nearer to each other than this, m, overlap only if both lasers face the same direction.
 const VIEW_CHECK_DISTANCE: f64 = 2.0;
+/// Minimum fraction of the rays that must end within the other keyframe's view, for keyframes of different visits.
+const MIN_OVERLAP: f64 = 0.4;
 /// Error assumed along a direction that the pairs leave unconstrained, m (and rad): much larger than any real one.
 const UNCONSTRAINED_ERROR: f64 = 100.0;
 
@@ -34,7 +36,7 @@ pub(super) struct Match {
     /// Of the rays that end within the other keyframe's view, the fraction that end on one of its surfaces.
     pub(super) agreement: f64,
     /// Fraction of the rays that end within the other keyframe's view.
-    pub(super) overlap: f64,
+    overlap: f64,
     /// Condition number of the pairs' information matrix.
     pub(super) condition_number: f64,
 }
@@ -52,6 +54,18 @@ impl EdgeMatcher {
     /// Prepares a scan for matching, and learns the range noise from it.
     pub(super) fn view(&mut self, scan: Scan) -> Arc<View> {
         self.matcher.view(scan)
+    }
+
+    /// Matches keyframes of two visits, searching in a window around the guess; `None` if that fails or they overlap too little.
+    pub(super) fn compare_visits(
+        &mut self,
+        earlier: &Arc<View>,
+        later: &View,
+        guess: Pose2,
+        window: SearchWindow,
+    ) -> Option<Match> {
+        let matched = self.compare(earlier, later, FirstGuess { window, ..guess.into() });
+        matched.filter(|matched| matched.overlap >= MIN_OVERLAP)
     }
 
     /// Pose of `later` in the frame of `earlier`; `None` if the match fails.

@@ -7,10 +7,10 @@ use std::f64::consts::PI;
 use std::ops::Range;
 
 use super::edges::{EdgeMatcher, Match};
-use super::keyframe::Keyframe;
+use super::keyframe::{Keyframe, Spacing};
 use super::pose_graph::{Edge, EdgeKind};
 use crate::geometry::Pose2;
-use crate::matching::{FirstGuess, SearchWindow};
+use crate::matching::SearchWindow;
 
 /// Spacing to which the map's keyframes are thinned out for the global search, m and rad.
 const THINNED_SPACING: f64 = 1.0;
@@ -24,8 +24,6 @@ const MAX_HYPOTHESES: usize = 5;
 const MIN_GLOBAL_AGREEMENT: f64 = 0.75;
 /// Minimum fraction of rays that must agree in each verification match.
 const MIN_AGREEMENT: f64 = 0.65;
-/// Minimum fraction of rays that must end within the other keyframe's view.
-const MIN_OVERLAP: f64 = 0.4;
 /// Path length over which a hypothesis is verified, m.
 const VERIFIED_LENGTH: f64 = 5.0;
 /// Minimum number of keyframes that must verify a hypothesis.
@@ -77,13 +75,10 @@ pub(super) fn find(
 
 /// Thins out keyframes to those that differ by [`THINNED_SPACING`] from all kept before.
 fn thinned(poses: &[Pose2], known: &[usize]) -> Vec<usize> {
+    let spacing = Spacing { distance: THINNED_SPACING, angle: THINNED_SPACING };
     let mut kept: Vec<usize> = Vec::new();
     for &k in known {
-        let is_new = |other: &usize| {
-            let motion = poses[*other].between(&poses[k]);
-            motion.distance() > THINNED_SPACING || motion.theta.abs() > THINNED_SPACING
-        };
-        if kept.iter().all(is_new) {
+        if kept.iter().all(|&other| spacing.is_exceeded_by(&poses[other].between(&poses[k]))) {
             kept.push(k);
         }
     }
@@ -134,18 +129,11 @@ impl AlignmentSearch<'_> {
         let mut alignment = RunAlignment { correction, edges: Vec::new(), agreement: 0.0 };
         for later in (start..self.run.end).take_while(|&k| self.keyframes[k].path_length <= end) {
             let predicted = correction * self.poses[later];
-            let difference = |k: &usize| {
-                let motion = self.poses[*k].between(&predicted);
-                motion.distance() + motion.theta.abs()
-            };
+            let difference = |k: &usize| self.poses[*k].between(&predicted).magnitude();
             let earlier = *self.known.iter().min_by(|a, b| difference(a).total_cmp(&difference(b)))?;
             let guess = self.poses[earlier].between(&predicted);
             let matched = self.compare(earlier, later, guess, SearchWindow::default())?;
-            let deviation = guess.between(&matched.motion);
-            if matched.agreement < MIN_AGREEMENT
-                || deviation.distance() > MAX_DEVIATION
-                || deviation.theta.abs() > MAX_ROTATION_DEVIATION
-            {
+            if matched.agreement < MIN_AGREEMENT || !guess.is_near(&matched.motion, MAX_DEVIATION, MAX_ROTATION_DEVIATION) {
                 return None;
             }
             correction = self.poses[earlier] * matched.motion * self.poses[later].inverse();
@@ -159,8 +147,6 @@ impl AlignmentSearch<'_> {
 
     fn compare(&mut self, earlier: usize, later: usize, guess: Pose2, window: SearchWindow) -> Option<Match> {
         let [earlier, later] = [earlier, later].map(|k| self.keyframes[k].view.as_ref());
-        self.matcher
-            .compare(earlier?, later?, FirstGuess { window, ..guess.into() })
-            .filter(|matched| matched.overlap >= MIN_OVERLAP)
+        self.matcher.compare_visits(earlier?, later?, guess, window)
     }
 }

@@ -9,8 +9,8 @@ use std::collections::{BTreeMap, VecDeque};
 use super::grid::EvidenceGrid;
 use super::keyframe::{MotionStatus, PosedScan, Spacing};
 use super::loops::{RelativeUncertainty, WINDOWS};
-use super::{COARSE_TOLERANCE, FINAL_TOLERANCE, GridScan, Mapper, SelfHits};
-use crate::geometry::{Point, Pose2, wrap_angle};
+use super::{COARSE_TOLERANCE, FINAL_TOLERANCE, GridScan, LEVER_ARM, Mapper, SelfHits};
+use crate::geometry::{Point, Pose2};
 use crate::matching::MatchingKnobs;
 use crate::matching::classic::rejection::RejectionKnobs;
 use crate::scan::{Mask, Scan, ScanKnobs, Sector, Sectors};
@@ -35,8 +35,6 @@ const MAX_VIEWS_PER_BIN: usize = 3;
 const RECENT_LENGTH: f64 = 25.0;
 /// Shift of a scan, as a fraction of a cell, beyond which it is inserted again.
 const MAX_SHIFT: f64 = 0.3;
-/// Lever arm that converts rotations to shifts, m.
-const LEVER_ARM: f64 = 5.0;
 /// Length at which a run with an unknown start is first searched for on the map, m; then again each time its length has doubled.
 const FIRST_JOIN_LENGTH: f64 = 6.0;
 /// Number of keyframes between two updates of the self-hit mask.
@@ -276,7 +274,7 @@ impl LiveMap {
 
     fn is_up_to_date(&self, a: &Pose2, b: &Pose2) -> bool {
         let max_shift = MAX_SHIFT * self.resolution;
-        (a.translation() - b.translation()).norm() < max_shift && wrap_angle(a.theta - b.theta).abs() * LEVER_ARM < max_shift
+        a.is_near(b, max_shift, max_shift / LEVER_ARM)
     }
 
     /// Completes all pending work, however long it takes, and rebuilds the grid from the optimized poses.

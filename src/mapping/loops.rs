@@ -9,16 +9,17 @@
 use std::collections::{BTreeMap, BinaryHeap};
 use std::ops::Range;
 
+use super::LEVER_ARM;
 use super::edges::{EdgeMatcher, Match};
 use super::keyframe::Keyframe;
-use super::pose_graph::{Edge, EdgeKind, PoseGraph};
+use super::pose_graph::{Edge, EdgeKind, PoseGraph, jacobians};
 use crate::geometry::{Pose2, PoseCovariance};
-use crate::matching::{FirstGuess, SearchWindow};
+use crate::matching::SearchWindow;
 use crate::odometry::uncertainty::{propagated, rotated};
 
 /// Minimum difference of the indices of two keyframes of different visits.
 const MIN_INDEX_DIFFERENCE: usize = 8;
-/// Maximum distance of the lasers, m; beyond it two keyframes overlap too little.
+/// Maximum difference of two views (see [`Pose2::magnitude`]), m; beyond it two keyframes overlap too little.
 const MAX_DISTANCE: f64 = 1.5;
 /// Maximum number of loop edges from a keyframe to earlier ones.
 const MAX_EDGES: usize = 2;
@@ -36,8 +37,6 @@ const MAX_WINDOW_ANGLE: f64 = 0.35;
 const MIN_AGREEMENT: f64 = 0.6;
 /// Minimum fraction of rays that must agree in larger windows.
 const MIN_AGREEMENT_IN_LARGE_WINDOWS: f64 = 0.75;
-/// Minimum fraction of rays that must end within the other keyframe's view.
-const MIN_OVERLAP: f64 = 0.4;
 /// Maximum condition number of a match; beyond it the position along a wall is poorly constrained.
 const MAX_CONDITION_NUMBER: f64 = 50.0;
 /// Minimum number of consecutive keyframes that must agree on a correction.
@@ -54,8 +53,6 @@ const RETRY_CHANGE: f64 = 0.05;
 const SEGMENT_LENGTH: f64 = 2.0;
 /// Minimum path length between two visits to a place, m.
 const MIN_VISIT_GAP: f64 = 15.0;
-/// Lever arm that converts heading errors to position errors, m.
-const LEVER_ARM: f64 = 5.0;
 
 /// Searches for loop closures, and remembers previous attempts.
 #[derive(Clone, Debug, Default)]
@@ -133,11 +130,7 @@ impl LoopSearch {
         for later in segment.later.clone() {
             let small =
                 segment.candidates.iter().filter(|(earlier, window)| window.is_small() && earlier + MIN_INDEX_DIFFERENCE < later);
-            let position = segment.poses[later].translation();
             let mut nearest: Vec<(f64, usize)> = small
-                .filter(|(earlier, _)| {
-                    (segment.poses[*earlier].translation() - position).norm_squared() < MAX_DISTANCE * MAX_DISTANCE
-                })
                 .map(|&(earlier, _)| (segment.view_difference(earlier, later), earlier))
                 .filter(|(difference, _)| *difference < MAX_DISTANCE)
                 .collect();
@@ -224,15 +217,13 @@ impl LoopSearch {
         guess: Pose2,
         window: SearchWindow,
     ) -> Option<Match> {
-        if let Some((last_guess, matched)) = self.attempts.get(&(later, earlier)) {
-            let moved = last_guess.between(&guess);
-            if moved.distance() < RETRY_CHANGE && moved.theta.abs() < RETRY_CHANGE {
-                return *matched;
-            }
+        if let Some((last_guess, matched)) = self.attempts.get(&(later, earlier))
+            && last_guess.is_near(&guess, RETRY_CHANGE, RETRY_CHANGE)
+        {
+            return *matched;
         }
         let [of_earlier, of_later] = [earlier, later].map(|k| segment.keyframes[k].view.as_ref());
-        let matched = matcher.compare(of_earlier?, of_later?, FirstGuess { window, ..guess.into() });
-        let matched = matched.filter(|matched| matched.overlap >= MIN_OVERLAP);
+        let matched = matcher.compare_visits(of_earlier?, of_later?, guess, window);
         self.attempts.insert((later, earlier), (guess, matched));
         matched
     }
@@ -240,8 +231,7 @@ impl LoopSearch {
 
 /// Whether two corrected poses of a keyframe are consistent.
 fn is_consistent(a: &Pose2, b: &Pose2) -> bool {
-    let difference = a.between(b);
-    difference.distance() < CONSISTENT_DISTANCE && difference.theta.abs() < CONSISTENT_ANGLE
+    a.is_near(b, CONSISTENT_DISTANCE, CONSISTENT_ANGLE)
 }
 
 /// A hypothesis for the pose of a segment.
@@ -281,10 +271,8 @@ impl Segment<'_> {
         self.poses[earlier].between(&self.poses[later])
     }
 
-    /// Difference of two viewpoints: distance plus rotation, with 1 rad counting as 1 m.
     fn view_difference(&self, earlier: usize, later: usize) -> f64 {
-        let motion = self.guess(earlier, later);
-        motion.distance() + motion.theta.abs()
+        self.guess(earlier, later).magnitude()
     }
 
     /// Finds the loop closure candidates: first all keyframes within the limit, then those of them whose windows reach this segment.
@@ -390,15 +378,9 @@ fn combined_covariances(graph: &PoseGraph) -> BTreeMap<(usize, usize), PoseCovar
 
 /// Covariance of the inverse motion, along the axes at the end of `motion`.
 fn inverse_covariance(motion: &Pose2, covariance: &PoseCovariance) -> PoseCovariance {
-    let (sin, cos) = motion.theta.sin_cos();
-    let back = motion.inverse();
-    #[rustfmt::skip]
-    let jacobian = PoseCovariance::new(
-        -cos, -sin, back.y,
-        sin, -cos, -back.x,
-        0.0, 0.0, -1.0,
-    );
-    jacobian * covariance * jacobian.transpose()
+    // The inverse motion leads from the end of `motion` back to its start, which has no error.
+    let [by_end, _] = jacobians(motion, &Pose2::IDENTITY);
+    by_end * covariance * by_end.transpose()
 }
 
 #[cfg(test)]

@@ -27,7 +27,7 @@ mod live;
 mod loops;
 mod pose_graph;
 mod self_hits;
-pub mod sparse;
+mod sparse;
 mod trajectory;
 
 use std::ops::Range;
@@ -49,8 +49,7 @@ pub use live::LiveMap;
 use loops::{LoopSearch, RelativeUncertainty, WINDOWS};
 pub use pose_graph::{Edge, EdgeKind, PoseGraph};
 pub use self_hits::SelfHits;
-use trajectory::TrajectoryInterpolator;
-pub use trajectory::TrajectoryNode;
+use trajectory::{TrajectoryInterpolator, TrajectoryNode};
 
 crate::knobs! {
     /// Parameters of the map.
@@ -78,10 +77,8 @@ const MAX_ROUNDS: usize = 60;
 const COARSE_TOLERANCE: f64 = 1e-3;
 /// Convergence tolerance of the final optimization, m and rad.
 const FINAL_TOLERANCE: f64 = 1e-5;
-/// Position error of an unknown motion (see [`MotionStatus::Lost`]), m.
-const LOST_ERROR: f64 = 1.0;
-/// Rotation error of an unknown motion, rad.
-const LOST_ROTATION_ERROR: f64 = 0.3;
+/// Lever arm that converts heading errors to position errors, m.
+const LEVER_ARM: f64 = 5.0;
 
 /// A scan for the grid: the end points of its rays, in the laser's frame.
 #[derive(Clone, Debug)]
@@ -177,8 +174,7 @@ impl Mapper {
 
     fn add_node(&mut self, stamp: Stamp, odom_from_base: Pose2, odom_from_laser: Pose2, is_start: bool, is_keyframe: bool) {
         if !is_start && let (Some(last), Some(distance)) = (self.nodes.last(), self.distances_to_next.last_mut()) {
-            let motion = last.odom_from_laser.between(&odom_from_laser);
-            *distance += motion.distance() + motion.theta.abs();
+            *distance += last.odom_from_laser.between(&odom_from_laser).magnitude();
         }
         let keyframe = if is_keyframe { self.keyframes.len() } else { self.keyframes.len().saturating_sub(1) };
         let distance = if is_keyframe { 0.0 } else { self.distances_to_next.last().copied().unwrap_or_default() };
@@ -205,11 +201,7 @@ impl Mapper {
         self.keyframes.push(Keyframe { stamp, odom_from_laser, view: Some(view), run, path_length });
         self.distances_to_next.push(0.0);
         if !is_start {
-            let covariance = if self.is_lost {
-                uncertainty::diagonal(LOST_ERROR, LOST_ROTATION_ERROR)
-            } else {
-                odometry_edge_covariance(&motion)
-            };
+            let covariance = if self.is_lost { uncertainty::unknown_motion() } else { odometry_edge_covariance(&motion) };
             self.graph.add_edge(Edge { from: number - 1, to: number, motion, covariance, kind: EdgeKind::Odometry });
             self.remove_moved_surfaces(number);
             let is_matched = self.add_sequence(number);

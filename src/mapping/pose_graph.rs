@@ -19,6 +19,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::sparse::Pattern;
 use crate::geometry::{Pose2, PoseCovariance};
+use crate::odometry::uncertainty::rotation;
 
 /// Kernel width, standard deviations: a larger error is more likely an outlier than noise.
 const KERNEL_SIGMAS: f64 = 3.0;
@@ -248,7 +249,7 @@ fn error(a: &Pose2, b: &Pose2, motion: &Pose2) -> Vector3<f64> {
 }
 
 /// Jacobians of the error with respect to `a` and `b`.
-fn jacobians(a: &Pose2, b: &Pose2) -> [Matrix3<f64>; 2] {
+pub(super) fn jacobians(a: &Pose2, b: &Pose2) -> [Matrix3<f64>; 2] {
     let (sin, cos) = a.theta.sin_cos();
     let motion = a.between(b);
     #[rustfmt::skip]
@@ -257,13 +258,7 @@ fn jacobians(a: &Pose2, b: &Pose2) -> [Matrix3<f64>; 2] {
         sin, -cos, -motion.x,
         0.0, 0.0, -1.0,
     );
-    #[rustfmt::skip]
-    let by_b = Matrix3::new(
-        cos, sin, 0.0,
-        -sin, cos, 0.0,
-        0.0, 0.0, 1.0,
-    );
-    [by_a, by_b]
+    [by_a, rotation(-a.theta)]
 }
 
 #[cfg(test)]

@@ -92,8 +92,7 @@ impl SelfHits {
         if self.by_distance.scans < MIN_SCANS_BY_DISTANCE || self.by_rotation.scans < MIN_SCANS_BY_ROTATION {
             return Vec::new();
         }
-        let mut beams: Vec<(usize, f64)> = (0..self.angles.len()).filter_map(|beam| Some((beam, self.range(beam)?))).collect();
-        beams.dedup_by_key(|beam| beam.0);
+        let beams: Vec<(usize, f64)> = (0..self.angles.len()).filter_map(|beam| Some((beam, self.range(beam)?))).collect();
         let neighbours = beams.chunk_by(|a, b| b.0 == a.0 + 1);
         neighbours.map(|beams| self.sector(beams)).collect()
     }

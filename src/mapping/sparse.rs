@@ -9,7 +9,7 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Sparsity pattern of a matrix and of its factor.
 #[derive(Clone, Debug, Default)]
-pub struct Pattern {
+pub(super) struct Pattern {
     /// Position of each variable in the elimination order.
     positions: Vec<usize>,
     /// By position in the elimination order: rows of the nonzero blocks of `L` below the diagonal, ascending.
@@ -18,7 +18,7 @@ pub struct Pattern {
 
 impl Pattern {
     /// The pattern for `count` variables; `pairs` lists the nonzero blocks off the diagonal.
-    pub fn new(count: usize, pairs: impl IntoIterator<Item = (usize, usize)>) -> Self {
+    pub(super) fn new(count: usize, pairs: impl IntoIterator<Item = (usize, usize)>) -> Self {
         let mut neighbours = vec![BTreeSet::new(); count];
         for (a, b) in pairs.into_iter().filter(|(a, b)| a != b) {
             neighbours[a].insert(b);
@@ -48,22 +48,12 @@ impl Pattern {
     }
 
     /// Number of variables.
-    pub fn len(&self) -> usize {
+    fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// Whether there are no variables.
-    pub fn is_empty(&self) -> bool {
-        self.positions.is_empty()
-    }
-
-    /// Number of nonzero blocks of the factor below its diagonal.
-    pub fn fill(&self) -> usize {
-        self.columns.iter().map(Vec::len).sum()
-    }
-
     /// A matrix of zeros.
-    pub fn zeros(&self) -> BlockMatrix<'_> {
+    pub(super) fn zeros(&self) -> BlockMatrix<'_> {
         let below = self.columns.iter().map(|column| vec![Matrix3::zeros(); column.len()]).collect();
         BlockMatrix { pattern: self, diagonal: vec![Matrix3::zeros(); self.len()], below }
     }
@@ -90,7 +80,7 @@ fn union_without(one: &[usize], other: &[usize], a: usize, b: usize) -> Vec<usiz
 
 /// A symmetric matrix; only the blocks on and below the diagonal are stored.
 #[derive(Clone, Debug)]
-pub struct BlockMatrix<'a> {
+pub(super) struct BlockMatrix<'a> {
     pattern: &'a Pattern,
     diagonal: Vec<Matrix3<f64>>,
     below: Vec<Vec<Matrix3<f64>>>,
@@ -98,7 +88,7 @@ pub struct BlockMatrix<'a> {
 
 impl<'a> BlockMatrix<'a> {
     /// Adds to the block of row `a` and column `b`, and the transpose to the opposite block. Blocks outside the pattern are ignored.
-    pub fn add(&mut self, a: usize, b: usize, block: &Matrix3<f64>) {
+    pub(super) fn add(&mut self, a: usize, b: usize, block: &Matrix3<f64>) {
         let (row, column) = (self.pattern.positions[a], self.pattern.positions[b]);
         match row.cmp(&column) {
             std::cmp::Ordering::Equal => self.diagonal[row] += block,
@@ -114,7 +104,7 @@ impl<'a> BlockMatrix<'a> {
     }
 
     /// Decomposes the matrix; `None` if it is not positive definite.
-    pub fn factorize(mut self) -> Option<Factor<'a>> {
+    pub(super) fn factorize(mut self) -> Option<Factor<'a>> {
         for j in 0..self.pattern.len() {
             let inverse = self.diagonal[j].cholesky()?.inverse();
             let column = std::mem::take(&mut self.below[j]);
@@ -157,7 +147,7 @@ fn subtract_product(target: &mut Matrix3<f64>, a: &Matrix3<f64>, b: &Matrix3<f64
 
 /// The decomposition `L D L'`, with the inverses of the blocks of `D`.
 #[derive(Clone, Debug)]
-pub struct Factor<'a> {
+pub(super) struct Factor<'a> {
     pattern: &'a Pattern,
     inverses: Vec<Matrix3<f64>>,
     below: Vec<Vec<Matrix3<f64>>>,
@@ -165,7 +155,7 @@ pub struct Factor<'a> {
 
 impl Factor<'_> {
     /// Solves for a right-hand side; it and the solution are in the order of the variables.
-    pub fn solve(&self, rhs: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    pub(super) fn solve(&self, rhs: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
         let mut x = vec![Vector3::zeros(); self.pattern.len()];
         for (&position, value) in self.pattern.positions.iter().zip(rhs) {
             x[position] = *value;
@@ -194,15 +184,20 @@ mod tests {
 
     use super::*;
 
+    /// Number of nonzero blocks of the factor below its diagonal.
+    fn fill(pattern: &Pattern) -> usize {
+        pattern.columns.iter().map(Vec::len).sum()
+    }
+
     #[test]
     fn minimum_degree_avoids_fill_in_on_chains_and_limits_it_on_grids() {
         let chain = Pattern::new(100, (1..100).map(|i| (i - 1, i)));
-        assert_eq!(chain.fill(), 99);
+        assert_eq!(fill(&chain), 99);
         let at = |x: usize, y: usize| 20 * y + x;
         let sideways = (0..20).flat_map(|y| (1..20).map(move |x| (at(x - 1, y), at(x, y))));
         let upwards = (1..20).flat_map(|y| (0..20).map(move |x| (at(x, y - 1), at(x, y))));
         let grid = Pattern::new(400, sideways.chain(upwards));
-        assert!(grid.fill() < 400 * 20 / 2, "{}", grid.fill());
+        assert!(fill(&grid) < 400 * 20 / 2, "{}", fill(&grid));
     }
 
     proptest! {

@@ -6,17 +6,17 @@ use crate::time::Stamp;
 
 /// A scan along the path.
 #[derive(Clone, Copy, Debug)]
-pub struct TrajectoryNode {
+pub(super) struct TrajectoryNode {
     /// When the scan was taken.
-    pub stamp: Stamp,
+    pub(super) stamp: Stamp,
     /// Index of the last keyframe up to the scan.
-    pub keyframe: usize,
+    pub(super) keyframe: usize,
     /// Pose of the base in the odometry frame.
-    pub odom_from_base: Pose2,
+    pub(super) odom_from_base: Pose2,
     /// Pose of the laser in the odometry frame.
-    pub odom_from_laser: Pose2,
+    pub(super) odom_from_laser: Pose2,
     /// Path length since that keyframe, m. A rotation of 1 rad counts as 1 m.
-    pub distance: f64,
+    pub(super) distance: f64,
 }
 
 /// Interpolates poses between keyframes: odometry from the keyframe before, with its error at the keyframe after distributed in

@@ -372,8 +372,9 @@ impl Refinement<'_> {
             return None;
         }
         if let Some(start) = m.search.next_start() {
-            let (pose, agreement) = m.refine_start(start);
-            m.search.consider(pose, agreement);
+            if let Some((pose, agreement)) = m.refine_start(start, &tracked.pose) {
+                m.search.consider(pose, agreement);
+            }
             return None;
         }
         m.association.find_correspondences(&tracked.pose, m.metric);
@@ -524,17 +525,21 @@ impl Matcher {
         if is_near { Some(best) } else { SolverKind::Linearized.solve(form, pose) }
     }
 
-    /// Does a few ICP iterations from a start of the search. Returns the pose, and how far the scans agree there.
-    fn refine_start(&mut self, start: Pose2) -> (Pose2, Agreement) {
+    /// Does a few ICP iterations from a start of the search. Returns the pose, and how far the scans agree there; `None` if it leads
+    /// to `tracked`, the result of tracking.
+    fn refine_start(&mut self, start: Pose2, tracked: &Pose2) -> Option<(Pose2, Agreement)> {
         let mut pose = start;
         self.association.begin(&start.into());
         for _ in 0..SEARCH_ITERATIONS {
             let found = self.association.find_correspondences(&pose, self.metric);
             let Some(next) = found.and_then(|found| self.solve(&found.form, &pose)) else { break };
             pose = next;
+            if search::leads_to(&pose, tracked) {
+                return None;
+            }
         }
         self.association.find_correspondences(&pose, self.metric);
-        (pose, self.association.agreement().unwrap_or_default())
+        Some((pose, self.association.agreement()?))
     }
 
     /// Restores the correspondences of the last tracking iteration, for the rays that are selected now.

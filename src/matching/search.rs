@@ -16,6 +16,9 @@ const ROTATION_STEP: f64 = 0.0873;
 const SCORES_PER_STEP: usize = 64;
 /// Starts that are less than this many grid steps apart lead to the same pose.
 const MIN_SEPARATION: f64 = 1.1;
+/// ICP from a start that comes this near to the result of tracking, in grid steps, leads there. At twice this distance, other
+/// solutions are missed.
+const TRACKED_RADIUS: f64 = 1.0 / 8.0;
 /// Maximum number of starts that are refined.
 const MAX_REFINED: usize = 8;
 /// A refined start is refined again with all rays if more rays agree than before, by this fraction of them.
@@ -83,7 +86,7 @@ impl MultiStartSearch {
         self.candidates.clear();
         for &(_, i) in &self.scores {
             let start = self.starts[i];
-            if !self.candidates.iter().any(|better| are_neighbours(better, &start)) {
+            if !self.candidates.iter().any(|better| are_within(better, &start, MIN_SEPARATION)) {
                 self.candidates.push(start);
             }
             if self.candidates.len() == MAX_REFINED {
@@ -120,9 +123,14 @@ fn exceeds(agreement: Agreement, before: Agreement, margin: f64, rays: usize) ->
     f64::from(agreement.agreeing) > f64::from(before.agreeing) + margin * rays as f64
 }
 
-fn are_neighbours(one: &Pose2, other: &Pose2) -> bool {
-    let motion = one.between(other);
-    motion.distance() < MIN_SEPARATION * TRANSLATION_STEP && motion.theta.abs() < MIN_SEPARATION * ROTATION_STEP
+/// Whether ICP that has come to `pose` leads to the result of tracking.
+pub(super) fn leads_to(pose: &Pose2, tracked: &Pose2) -> bool {
+    are_within(pose, tracked, TRACKED_RADIUS)
+}
+
+/// Whether two poses are less than this many grid steps apart.
+fn are_within(one: &Pose2, other: &Pose2, steps: f64) -> bool {
+    one.is_near(other, steps * TRANSLATION_STEP, steps * ROTATION_STEP)
 }
 
 /// Evenly spaced values from `-limit` to `limit`, at most `step` apart.

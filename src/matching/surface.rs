@@ -9,7 +9,7 @@ const NO_VARIANCE: f32 = (1_u64 << 40) as f32;
 /// The bits of the variance that packing keeps.
 const VARIANCE_MASK: u32 = 0xffff_0000;
 /// Packing shifts the direction variance right by this many bits.
-const DIRECTION_SHIFT: u32 = 16;
+pub(super) const DIRECTION_SHIFT: u32 = 16;
 
 /// The line that a beam hit, in the frame of the laser: unit normal, offset (m) and two variances packed in one number. Single
 /// precision resolves micrometres. The variances need two or three digits, so only the upper 16 bits of each are kept, and a

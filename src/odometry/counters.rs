@@ -29,7 +29,7 @@ pub struct OdometryCounters {
     pub odometry_rejected: u64,
     /// Scans predicted without the IMU, because earlier matches had contradicted it.
     pub imu_rejected: u64,
-    /// Matches that contradict the accepted odometry's motion since the scans were first matched to the keyframe.
+    /// Matches that contradict the accepted odometry over the last seconds.
     pub odometry_contradicted: u64,
 }
 

@@ -52,11 +52,6 @@ impl ImuHeading {
     pub fn is_due(&self, stamp: Stamp) -> bool {
         self.rotations.is_due(stamp)
     }
-
-    /// Forgets all readings.
-    pub fn clear(&mut self) {
-        *self = Self::default();
-    }
 }
 
 #[cfg(test)]

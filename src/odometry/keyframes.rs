@@ -76,6 +76,5 @@ impl LaserOdometry {
 
 /// Whether two mounting poses are those of the same laser.
 pub(super) fn is_same_mount(one: &Pose2, other: &Pose2) -> bool {
-    let moved = one.between(other);
-    moved.distance() + moved.theta.abs() <= MAX_MOUNT_DIFFERENCE
+    one.between(other).magnitude() <= MAX_MOUNT_DIFFERENCE
 }

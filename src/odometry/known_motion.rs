@@ -20,7 +20,7 @@ impl LaserOdometry {
         let seconds = stamp.seconds_since(previous.stamp).max(self.typical_period);
         let odometry = odometry.map(|motion| Prediction { motion, covariance: uncertainty::wheel_covariance(&motion, seconds) });
         let imu_rotation = self.sources.imu_rotation(previous.stamp, stamp);
-        self.count_rejected(odometry.is_some());
+        self.count_rejected(odometry.is_some(), imu_rotation.is_some());
         // Without odometry there is nothing better than the velocity, even if it was wrong: a kidnapped robot drives on. So only
         // the fused velocity gets the learned noise.
         let fused = |odometry: Prediction| {
@@ -43,11 +43,11 @@ impl LaserOdometry {
         }
     }
 
-    fn count_rejected(&mut self, has_odometry: bool) {
+    fn count_rejected(&mut self, has_odometry: bool, has_imu: bool) {
         let RejectedSources { odometry, imu } = self.noise.rejected_sources();
         self.counters.without_odometry += u64::from(!has_odometry);
         self.counters.odometry_rejected += u64::from(has_odometry && odometry);
-        self.counters.imu_rejected += u64::from(imu);
+        self.counters.imu_rejected += u64::from(has_imu && imu);
     }
 
     /// Updates the noise of each source by a finished match; an unmatched scan has no effect.

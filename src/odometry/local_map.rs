@@ -15,10 +15,7 @@ use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::{COARSE_VIEWS, PlacedView, View};
 use crate::scan::Scan;
 
-/// Rotation that makes two views as different as a metre between them, rad.
-const RADIANS_PER_METRE: f64 = 1.0;
-
-/// Maximum distance of a keyframe from a pose, m, with rotations converted to metres: farther ones see other things.
+/// Maximum difference between the views from a keyframe and from a pose (see [`Pose2::magnitude`]), m: farther ones see other things.
 const MAX_VIEW_DISTANCE: f64 = 6.0;
 
 /// Number of nearest keyframes used for a scan: they see most of what it sees.
@@ -33,10 +30,6 @@ const MAX_CONNECTED_LENGTH: f64 = 20.0;
 
 /// Path length assigned to a step whose motion is unknown, m.
 const LOST_LENGTH: f64 = 2.0 * MAX_CONNECTED_LENGTH;
-/// Position error of a step whose motion is unknown, m.
-const LOST_POSITION_ERROR: f64 = 1.0;
-/// Heading error of a step whose motion is unknown, rad.
-const LOST_HEADING_ERROR: f64 = 0.3;
 
 /// A scan that others are matched to.
 #[derive(Clone, Debug)]
@@ -100,7 +93,7 @@ impl LocalMap {
         let path_length = if is_lost { path_length + LOST_LENGTH } else { path_length };
         if is_lost {
             self.matched.clear();
-            pose.step_covariance += uncertainty::diagonal(LOST_POSITION_ERROR, LOST_HEADING_ERROR);
+            pose.step_covariance += uncertainty::unknown_motion();
         }
         self.keyframes.push_back(Keyframe { pose, view, path_length });
         let oldest = self.keyframes[0].path_length;
@@ -244,8 +237,13 @@ impl LocalMap {
         self.update_connected();
         let mut near = std::mem::take(&mut self.near);
         near.clear();
+        let position = map_from_laser.translation();
         for (i, keyframe) in self.keyframes.iter().enumerate() {
-            let difference = view_distance(map_from_laser, keyframe);
+            let pose = &keyframe.pose.map_from_laser;
+            if (pose.translation() - position).norm_squared() > MAX_VIEW_DISTANCE * MAX_VIEW_DISTANCE {
+                continue; // most keyframes, without any trigonometry
+            }
+            let difference = map_from_laser.between(pose).magnitude();
             if difference <= MAX_VIEW_DISTANCE && admits(self, keyframe) {
                 near.push((difference, i));
             }
@@ -280,11 +278,6 @@ impl LocalMap {
             PlacedView { reference_from_view: first.between(&pose.map_from_laser), view: Arc::clone(view) }
         }));
     }
-}
-
-fn view_distance(map_from_laser: &Pose2, keyframe: &Keyframe) -> f64 {
-    let motion = map_from_laser.between(&keyframe.pose.map_from_laser);
-    motion.distance() + motion.theta.abs() / RADIANS_PER_METRE
 }
 
 #[cfg(test)]

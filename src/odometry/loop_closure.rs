@@ -108,18 +108,13 @@ impl LoopVerifier {
         if !measurement.is_well_constrained() {
             return false;
         }
-        let is_small = is_within(&measurement.path_pose, &measurement.measured_pose, SMALL_DRIFT, SMALL_HEADING_DRIFT);
+        let is_small = measurement.path_pose.is_near(&measurement.measured_pose, SMALL_DRIFT, SMALL_HEADING_DRIFT);
         if measurement.agreement < MIN_AGREEMENT || is_small {
             self.reset();
             return measurement.agreement >= MIN_AGREEMENT;
         }
         let agrees = |other: &Pose2| {
-            is_within(
-                &(*other * measurement.path_pose),
-                &measurement.measured_pose,
-                MAX_POSITION_DIFFERENCE,
-                MAX_HEADING_DIFFERENCE,
-            )
+            (*other * measurement.path_pose).is_near(&measurement.measured_pose, MAX_POSITION_DIFFERENCE, MAX_HEADING_DIFFERENCE)
         };
         if !self.corrections.iter().all(agrees) {
             self.reset();
@@ -131,11 +126,6 @@ impl LoopVerifier {
         }
         is_accepted
     }
-}
-
-fn is_within(a: &Pose2, b: &Pose2, distance: f64, angle: f64) -> bool {
-    let motion = a.between(b);
-    motion.distance() < distance && motion.theta.abs() < angle
 }
 
 #[cfg(test)]

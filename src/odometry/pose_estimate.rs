@@ -25,7 +25,7 @@ pub(super) struct PoseEstimate {
     pub(super) matched_covariance: Option<PoseCovariance>,
     /// Covariance of the pose relative to the keyframe, along the axes of the base.
     pub(super) covariance_to_keyframe: PoseCovariance,
-    /// Matches only: the match contradicts the odometry's motion since the scans were first matched to the keyframe.
+    /// Matches only: the match contradicts the odometry over the last seconds.
     pub(super) contradicts_odometry: bool,
     pub(super) refinement: Option<RefinementReport>,
     pub(super) predicted_error: ErrorEstimate,

@@ -101,8 +101,8 @@ pub struct Registration {
     pub estimated_error: ErrorEstimate,
     /// The sources of motion that are rejected from here on.
     pub rejected_sources: RejectedSources,
-    /// The match contradicts the odometry's motion since scans were first matched to this keyframe. One of the two is wrong:
-    /// wheels slip, or most rays hit something that moves along with the laser.
+    /// The match contradicts the odometry over the last seconds. One of the two is wrong: wheels slip, or most rays hit something
+    /// that moves along with the laser.
     pub contradicts_odometry: bool,
     /// Whether the scan becomes a keyframe.
     pub new_keyframe: bool,

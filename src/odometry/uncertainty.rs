@@ -12,6 +12,11 @@ const WHEEL_ERROR: f64 = 0.01;
 /// Within a short time the constant part is smaller, m and rad per root of a second, so that the scan rate makes no difference.
 const WHEEL_RANDOM_WALK: f64 = 0.035;
 
+/// Position error of an unknown motion, m.
+const UNKNOWN_MOTION_ERROR: f64 = 1.0;
+/// Rotation error of an unknown motion, rad.
+const UNKNOWN_ROTATION_ERROR: f64 = 0.3;
+
 /// Scale error of uncalibrated wheel odometry: this fraction of the distance. It is the same in every step.
 pub(super) const WHEEL_SCALE_ERROR: f64 = 0.1;
 
@@ -51,7 +56,7 @@ pub fn positive_part(difference: &PoseCovariance) -> PoseCovariance {
 }
 
 /// Rotation matrix for the errors of a pose (x, y, heading).
-pub(super) fn rotation(angle: f64) -> Matrix3<f64> {
+pub fn rotation(angle: f64) -> Matrix3<f64> {
     let (sin, cos) = angle.sin_cos();
     #[rustfmt::skip]
     let rotation = Matrix3::new(
@@ -74,6 +79,11 @@ pub fn wheel_covariance(motion: &Pose2, seconds: f64) -> PoseCovariance {
     let (offset, rotation) = (motion.distance(), motion.theta.abs());
     let base = (WHEEL_RANDOM_WALK * seconds.sqrt()).min(WHEEL_ERROR);
     diagonal(base + WHEEL_SCALE_ERROR * offset + 0.02 * rotation, base + 0.15 * rotation + 0.03 * offset)
+}
+
+/// Covariance of a motion between two scans about which neither odometry nor a match gives information.
+pub fn unknown_motion() -> PoseCovariance {
+    diagonal(UNKNOWN_MOTION_ERROR, UNKNOWN_ROTATION_ERROR)
 }
 
 /// How many of the rays used in a match count as one measurement: neighbouring rays hit the same object, which may be uneven or

@@ -72,11 +72,6 @@ impl WheelOdometry {
         event
     }
 
-    /// Forgets all messages.
-    pub fn clear(&mut self) {
-        self.samples.clear();
-    }
-
     /// The stamp of the latest message.
     pub fn last_stamp(&self) -> Option<Stamp> {
         self.samples.back().map(|last| last.stamp)

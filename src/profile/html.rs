@@ -9,7 +9,7 @@ use super::summary::CaseSummary;
 use super::tables;
 
 /// Style sheet of the reports.
-pub(crate) const STYLE: &str = "
+const STYLE: &str = "
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2rem auto; padding: 0 1rem; }
 h1, h2 { line-height: 1.2; } h2 { margin-top: 3rem; border-bottom: 1px solid #ddd; padding-bottom: .3rem; }
 figure { margin: 1rem 0; } svg { width: 100%; height: auto; } figcaption { color: #555; }
@@ -39,15 +39,25 @@ pub fn escaped(text: &str) -> String {
     escaped
 }
 
+/// The beginning of a report: head and heading, the command line that produced it, and a table of (name, value).
+pub(crate) fn beginning(title: &str, heading: &str, command: &str, facts: &[(&str, String)]) -> String {
+    let row = |(name, value): &(&str, String)| format!("<tr><td>{name}</td><td>{}</td></tr>\n", escaped(value));
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
+         <title>{}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{}</h1>\n<pre>{}</pre>\n<table class=\"facts\">\n{}</table>\n",
+        escaped(title),
+        escaped(heading),
+        escaped(command),
+        facts.iter().map(row).collect::<String>()
+    )
+}
+
 /// Renders the page. `command` is the command line of the study.
 pub fn report(results: &Results, pictures: &[Picture], command: &str) -> String {
-    let mut page = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" content=\"width=device-width\">\n\
-         <title>Profile of {0}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>Delay and error profile of {0}</h1>\n",
-        escaped(&results.provenance.bag)
-    );
+    let bag = &results.provenance.bag;
+    let heading = format!("Delay and error profile of {bag}");
+    let mut page = beginning(&format!("Profile of {bag}"), &heading, command, &facts(results));
     let mut add = |text: &str| page.push_str(text);
-    add(&facts(results, command));
     add(&contents(pictures));
     for picture in pictures {
         add(&format!(
@@ -74,13 +84,13 @@ fn contents(pictures: &[Picture]) -> String {
 }
 
 /// What was measured, on which data and how.
-fn facts(results: &Results, command: &str) -> String {
+fn facts(results: &Results) -> Vec<(&'static str, String)> {
     let from = &results.provenance;
     let parameters: Vec<String> = from.parameters.iter().map(|(path, value)| format!("{path}={value}")).collect();
     let or_none = |text: String| if text.is_empty() { "none".into() } else { text };
     let variants: Vec<String> = results.variants().iter().map(ToString::to_string).collect();
     let knobs: Vec<&str> = results.knobs().iter().map(|knob| knob.name()).collect();
-    let facts = [
+    vec![
         ("bag", from.bag.clone()),
         ("ground truth", from.truth.clone()),
         (
@@ -97,11 +107,7 @@ fn facts(results: &Results, command: &str) -> String {
         ("errors", ERROR_DEFINITION.into()),
         ("delays", "from the arrival of a scan in the process to its answer; each value is the median over the rounds".into()),
         ("tested values", value_counts(results)),
-    ];
-    let row = |(what, value): &(&str, String)| format!("<tr><td>{what}</td><td>{}</td></tr>\n", escaped(value));
-    let rows: Vec<String> = facts.iter().map(row).collect();
-    let rows = rows.concat();
-    format!("<pre>{}</pre>\n<table class=\"facts\">\n{rows}</table>\n", escaped(command))
+    ]
 }
 
 /// Number of tested values of each knob, and the variants with fewer.

@@ -1,6 +1,6 @@
 //! The walls of a map, with one bit per cell.
 
-use crate::map::grid::{Cell, OccupancyGrid};
+use crate::map::grid::OccupancyGrid;
 
 /// Bitmap of the walls, with a border of one cell at which every traversal ends.
 #[derive(Clone, Debug)]
@@ -12,23 +12,12 @@ pub(super) struct WallBits {
 
 impl WallBits {
     pub(super) fn new(grid: &OccupancyGrid) -> Self {
-        let (width, height) = (grid.width() + 2, grid.height() + 2);
-        let mut bits = Self { width, height, words: vec![0; (width * height).div_ceil(64)] };
-        for index in 0..width * height {
-            if bits.is_border(index) {
-                bits.set(index);
-            }
-        }
-        for (row, cells) in grid.cells().chunks_exact(grid.width()).enumerate() {
-            for (column, _) in cells.iter().enumerate().filter(|(_, cell)| **cell == Cell::Occupied) {
-                bits.set((row + 1) * width + column + 1);
-            }
+        let (walls, width) = grid.padded_walls(1);
+        let mut bits = Self { width, height: grid.height() + 2, words: vec![0; walls.len().div_ceil(64)] };
+        for (index, is_wall) in walls.into_iter().enumerate() {
+            bits.words[index / 64] |= u64::from(is_wall || bits.is_border(index)) << (index % 64);
         }
         bits
-    }
-
-    fn set(&mut self, index: usize) {
-        self.words[index / 64] |= 1 << (index % 64);
     }
 
     /// Index difference between a cell and the one above it.

@@ -20,6 +20,8 @@ use std::ops::Range;
 
 use crate::geometry::Pose2;
 use crate::map::grid::OccupancyGrid;
+use crate::map::indoors::indoor_cells;
+use table::Table;
 
 /// Maximum memory of a look-up table that is chosen automatically, bytes.
 const MAX_TABLE_MEMORY: usize = 256 << 20;
@@ -153,9 +155,13 @@ crate::choices! {
 }
 
 impl RayCasting {
-    /// The fastest method with moderate memory use: the table, unless the map is large.
-    pub fn fastest_for(grid: &OccupancyGrid) -> Self {
-        if table::memory_for(grid) <= MAX_TABLE_MEMORY { Self::Table } else { Self::Cddt }
+    /// Prepares the fastest method with moderate memory use for a map: the table, unless the map is large.
+    #[allow(clippy::cast_possible_truncation)] // cells
+    pub fn fastest_caster(grid: &OccupancyGrid, max_range: f64) -> Box<dyn RayCaster> {
+        match Table::within(MAX_TABLE_MEMORY, grid, max_range as f32) {
+            Some(table) => Box::new(table),
+            None => Self::Cddt.caster(grid, max_range),
+        }
     }
 
     /// Prepares this method for a map; `max_range` is the maximum length of a beam, cells.
@@ -166,7 +172,7 @@ impl RayCasting {
             Self::Bresenham => Box::new(bresenham::Bresenham::new(grid, max_range)),
             Self::RayMarching => Box::new(ray_marching::RayMarching::new(grid, max_range)),
             Self::Cddt => Box::new(cddt::Cddt::new(grid, max_range)),
-            Self::Table => Box::new(table::Table::new(grid, max_range)),
+            Self::Table => Box::new(Table::new(grid, &indoor_cells(grid), max_range)),
         }
     }
 }

@@ -8,16 +8,18 @@ use crate::map::grid::{Cell, OccupancyGrid};
 const LEAP_UNIT: f32 = 0.5;
 /// Extra length when the ray enters a cell, cells, so that rounding does not keep it outside.
 const INTO_CELL: f32 = 1e-3;
-/// Entry of a cell that ends the march.
+/// Entry of a wall, which ends the march.
 const WALL: u8 = 0;
 /// Entry of a cell near a wall: march only to its boundary.
 const NEAR: u8 = 1;
+/// Entry of the border around the map, where a march ends without a hit.
+const BORDER: u8 = u8::MAX;
 
 /// Lengths of the leaps from every cell, with a border at which every march ends.
 pub(super) struct RayMarching {
     width: usize,
     height: usize,
-    /// Row by row, border included: [`WALL`], [`NEAR`], or the length of the leap in [`LEAP_UNIT`]s.
+    /// Row by row, border included: [`WALL`], [`NEAR`], [`BORDER`], or the length of the leap in [`LEAP_UNIT`]s.
     leaps: Vec<u8>,
     max_range: f32,
 }
@@ -26,13 +28,13 @@ impl RayMarching {
     pub(super) fn new(grid: &OccupancyGrid, max_range: f32) -> Self {
         let (width, height) = (grid.width() + 2, grid.height() + 2);
         let distances = DistanceField::new(grid.width(), grid.cells().iter().map(|&cell| cell == Cell::Occupied));
-        let mut leaps = vec![WALL; width * height];
+        let mut leaps = vec![BORDER; width * height];
         for row in 0..grid.height() {
             for column in 0..grid.width() {
                 let distance = distances.at(column as i64, row as i64) as f32;
                 // Distances are between centres; the start and the wall may each be half a diagonal nearer.
                 let leap = ((distance - std::f32::consts::SQRT_2) / LEAP_UNIT) as u8;
-                leaps[(row + 1) * width + column + 1] = if distance == 0.0 { WALL } else { leap.max(NEAR) };
+                leaps[(row + 1) * width + column + 1] = if distance == 0.0 { WALL } else { leap.clamp(NEAR, BORDER - 1) };
             }
         }
         Self { width, height, leaps, max_range }
@@ -49,7 +51,8 @@ impl RayMarching {
         while length <= self.max_range {
             let (column, row) = ((x + length * dx) as usize, (y + length * dy) as usize);
             match self.leaps[row * self.width + column] {
-                WALL => return if self.is_border(column, row) { f32::INFINITY } else { (length - INTO_CELL).max(0.0) },
+                WALL => return (length - INTO_CELL).max(0.0),
+                BORDER => return f32::INFINITY,
                 NEAR => {
                     let boundary_x = (column as f32 + far_side[0] - x) * by_dx;
                     let boundary_y = (row as f32 + far_side[1] - y) * by_dy;
@@ -59,10 +62,6 @@ impl RayMarching {
             }
         }
         f32::INFINITY
-    }
-
-    fn is_border(&self, column: usize, row: usize) -> bool {
-        column == 0 || row == 0 || column + 1 == self.width || row + 1 == self.height
     }
 
     /// The start of the beams in coordinates that include the border; `None` outside the map.

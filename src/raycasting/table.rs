@@ -35,11 +35,19 @@ pub(super) struct Table {
 }
 
 impl Table {
-    pub(super) fn new(grid: &OccupancyGrid, max_range: f32) -> Self {
+    /// The table of a map, unless it needs more than `max_memory` bytes.
+    pub(super) fn within(max_memory: usize, grid: &OccupancyGrid, max_range: f32) -> Option<Self> {
+        let listed = indoor_cells(grid);
+        let memory_of_lengths = listed.len() * DIRECTIONS as usize * size_of::<u16>();
+        let table = (memory_of_lengths <= max_memory).then(|| Self::new(grid, &listed, max_range));
+        table.filter(|table| table.memory() <= max_memory)
+    }
+
+    /// The table of the cells in `listed`.
+    pub(super) fn new(grid: &OccupancyGrid, listed: &[usize], max_range: f32) -> Self {
         let cddt = Cddt::with(grid, max_range, DIRECTIONS, STRIPS_PER_CELL);
         let diagonal = (grid.width() as f32).hypot(grid.height() as f32);
         let unit = max_range.min(diagonal) / MAX_ENTRY;
-        let listed = indoor_cells(grid);
         let mut blocks = vec![NOT_LISTED; grid.cells().len()];
         for (block, &index) in listed.iter().enumerate() {
             blocks[index] = block as u32;
@@ -71,11 +79,6 @@ impl Table {
     }
 }
 
-/// Memory that the table of a map needs, bytes.
-pub(super) fn memory_for(grid: &OccupancyGrid) -> usize {
-    indoor_cells(grid).len() * DIRECTIONS as usize * size_of::<u16>() + grid.cells().len() * size_of::<u32>()
-}
-
 impl RayCaster for Table {
     fn cast(&self, from: &[Viewpoint], fan: &Fan, lengths: &mut [f32]) {
         fan.fill(from, lengths, |from, beam| {
@@ -90,5 +93,19 @@ impl RayCaster for Table {
 
     fn memory(&self) -> usize {
         size_of_val(self.blocks.as_slice()) + size_of_val(self.lengths.as_slice()) + self.cddt.memory()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::map::grid::Cell;
+
+    #[test]
+    fn the_memory_limit_includes_everything() {
+        let cells = (0..10_000).map(|i| if i % 7 == 0 { Cell::Occupied } else { Cell::Free }).collect();
+        let grid = OccupancyGrid::new(100, 0.05, Pose2::IDENTITY, cells).unwrap();
+        let memory = Table::new(&grid, &indoor_cells(&grid), 600.0).memory();
+        assert!(Table::within(memory, &grid, 600.0).is_some() && Table::within(memory - 1, &grid, 600.0).is_none());
     }
 }

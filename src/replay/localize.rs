@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::failures::Failures;
 use super::row::BeliefRow;
-use super::{ReplayLog, Topics, decode_scan, feed, microseconds};
+use super::{ReplayLog, Topics, decode_scan, feed, microseconds, time_percentiles};
 use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::NeverInterrupt;
 use crate::app::ScanProcessor as _;
@@ -22,7 +22,6 @@ use crate::evaluation::trajectory::StampedPose;
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::io::bag::{Bag, BagError};
 use crate::localization::estimate::Belief;
-use crate::quantile;
 use crate::time::Stamp;
 
 /// What became of a scan.
@@ -211,13 +210,6 @@ impl LocalizationSummary {
         (self.particles as f64 / scans, self.effective / scans, self.beams as f64 / scans)
     }
 
-    /// Elapsed time at percentiles 50, 99 and 100, microseconds.
-    fn times(&self) -> [f64; 3] {
-        let mut sorted = self.elapsed.clone();
-        sorted.sort_unstable();
-        [0.5, 0.99, 1.0].map(|fraction| quantile::of_sorted(&sorted, fraction).map_or(0.0, microseconds))
-    }
-
     /// Time from the first scan until the robot was first localized, s.
     fn seconds_to_localize(&self) -> Option<f64> {
         self.localized.first().zip(self.poses.first()).map(|(localized, first)| localized.stamp.seconds_since(first.stamp))
@@ -234,7 +226,7 @@ impl LocalizationSummary {
 
     /// Formats the summary as a JSON object.
     pub fn to_json(&self, errors: Option<&TruthErrors>, problems: &[String]) -> Value {
-        let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
+        let ([p50, p99, max], (particles, effective, beams)) = (time_percentiles(&self.elapsed), self.means());
         let consistency = errors.and_then(|errors| errors.consistency);
         json!({
             "scans": self.poses.len(),
@@ -262,7 +254,7 @@ impl LocalizationSummary {
 
     /// Formats the summary as a table.
     pub fn to_text(&self, errors: Option<&TruthErrors>, problems: &[String]) -> String {
-        let ([p50, p99, max], (particles, effective, beams)) = (self.times(), self.means());
+        let ([p50, p99, max], (particles, effective, beams)) = (time_percentiles(&self.elapsed), self.means());
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
         table.add_row(["scans", &self.poses.len().to_string()]);

@@ -1,8 +1,9 @@
 //! Renders a map with the path coloured by time, the ends of the path, and the loop closures.
 
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 
 use crate::geometry::Point;
+use crate::io::gray_image::write_png;
 use crate::map::grid::{Cell, OccupancyGrid};
 
 /// Number of colours of the path, from its start to its end.
@@ -50,7 +51,7 @@ impl Picture<'_> {
                 canvas.mark(position, colour);
             }
         }
-        canvas.write_png(writer)
+        write_png(writer, self.map.width(), &canvas.rows(), Some(palette()))
     }
 }
 
@@ -117,15 +118,8 @@ impl<'a> Canvas<'a> {
         }
     }
 
-    fn write_png(&self, writer: impl Write) -> io::Result<()> {
-        let size = |pixels: usize| u32::try_from(pixels).map_err(io::Error::other);
-        let mut encoder = png::Encoder::new(BufWriter::new(writer), size(self.map.width())?, size(self.map.height())?);
-        encoder.set_color(png::ColorType::Indexed);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_palette(palette());
-        let mut writer = encoder.write_header()?;
-        let rows: Vec<u8> = self.pixels.chunks_exact(self.map.width()).rev().flatten().copied().collect();
-        writer.write_image_data(&rows)?;
-        Ok(writer.finish()?)
+    /// The pixels row by row from the top.
+    fn rows(&self) -> Vec<u8> {
+        self.pixels.chunks_exact(self.map.width()).rev().flatten().copied().collect()
     }
 }

@@ -6,6 +6,7 @@ use std::time::Duration;
 use comfy_table::{Table, presets};
 use serde_json::{Value, json};
 
+use super::path_length;
 use crate::evaluation::trajectory::StampedPose;
 use crate::knobs::KnobValue;
 use crate::map::grid::{Cell, OccupancyGrid};
@@ -60,7 +61,7 @@ impl MapSummary {
         let free = map.cells().iter().filter(|cell| **cell == Cell::Free).count();
         Self {
             scans: path.len(),
-            distance: path.windows(2).map(|pair| pair[0].pose.between(&pair[1].pose).distance()).sum(),
+            distance: path_length(path),
             keyframes: mapper.keyframes().len(),
             progress: mapper.progress(),
             size: (map.width(), map.height()),

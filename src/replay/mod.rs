@@ -20,12 +20,14 @@ use crate::anytime::clock::Clock;
 use crate::anytime::interrupt::NeverInterrupt;
 use crate::app::sensed::SensorMessage;
 use crate::app::{App, Estimate, ScanProcessor};
+use crate::evaluation::trajectory::StampedPose;
 use crate::io::bag::{Bag, BagError, BagMessage};
 use crate::io::contract_schedule::ContractSchedule;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
 use crate::messages::tf2_msgs::TFMessage;
 use crate::messages::{Message, header_stamp};
+use crate::quantile;
 use crate::time::Stamp;
 
 /// Topics of transforms.
@@ -285,6 +287,18 @@ fn handle_message(processor: &mut impl ScanProcessor, topics: &Topics, message: 
         let transforms: TFMessage = message.decode().map_err(|e| e.to_string())?;
         processor.on_transforms(&transforms).map_err(|e| with_topic(&e))
     }
+}
+
+/// Length of the path through these poses, m.
+fn path_length(poses: &[StampedPose]) -> f64 {
+    poses.windows(2).map(|pair| pair[0].pose.between(&pair[1].pose).distance()).sum()
+}
+
+/// The percentiles 50, 99 and 100 of these times, microseconds.
+fn time_percentiles(times: &[Duration]) -> [f64; 3] {
+    let mut sorted = times.to_vec();
+    sorted.sort_unstable();
+    [0.5, 0.99, 1.0].map(|fraction| quantile::of_sorted(&sorted, fraction).map_or(0.0, microseconds))
 }
 
 /// Converts a duration to microseconds.

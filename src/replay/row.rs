@@ -16,7 +16,7 @@ use crate::time::Stamp;
 pub struct MatchRow {
     /// Pose of the base in the map frame.
     pub pose: Pose2,
-    /// Report of the match.
+    /// Report of the match, as the node publishes it: its header has the odom frame.
     pub report: MatchReport,
     /// Pose of the base in the odom frame, with its covariance.
     pub uncertain_pose: UncertainPose,

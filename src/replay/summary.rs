@@ -8,13 +8,12 @@ use serde_json::{Value, json};
 
 use super::failures::Failures;
 use super::row::MatchRow;
-use super::{ReplayLog, microseconds};
+use super::{ReplayLog, microseconds, path_length, time_percentiles};
 use crate::app::MountSource;
 use crate::evaluation::consistency::{Consistency, UncertainPose};
 use crate::evaluation::report::Report;
 use crate::evaluation::trajectory::StampedPose;
 use crate::odometry::OdometryCounters;
-use crate::quantile;
 
 /// Collects the estimates of a replay.
 #[derive(Clone, Debug, Default)]
@@ -122,31 +121,20 @@ impl Summary {
         failures.into_iter().chain(outside_profile).chain(ending.problems()).collect()
     }
 
-    fn path_length(&self) -> f64 {
-        self.poses.windows(2).map(|pair| pair[0].pose.between(&pair[1].pose).distance()).sum()
-    }
-
-    /// Elapsed time at percentiles 50, 99 and 100, microseconds.
-    fn times(&self) -> [f64; 3] {
-        let mut sorted = self.elapsed.clone();
-        sorted.sort_unstable();
-        [0.5, 0.99, 1.0].map(|fraction| quantile::of_sorted(&sorted, fraction).map_or(0.0, microseconds))
-    }
-
     fn mean_iterations(&self) -> f64 {
         self.iterations as f64 / self.poses.len().max(1) as f64
     }
 
     /// Formats the summary as a JSON object.
     pub fn to_json(&self, ending: &Ending) -> Value {
-        let [p50, p99, max] = self.times();
+        let [p50, p99, max] = time_percentiles(&self.elapsed);
         let truth = ending.report.as_ref().map_or_else(|| json!({}), Report::to_json);
         json!({
             "scans": self.poses.len(),
             "matched": self.matched,
             "failed": self.poses.len() - self.matched,
             "failures": self.failures.counts(),
-            "path_length_m": self.path_length(),
+            "path_length_m": path_length(&self.poses),
             "mean_iterations": self.mean_iterations(),
             "keyframes": ending.counters.keyframes,
             "closed_loops": ending.counters.closed_loops,
@@ -172,7 +160,7 @@ impl Summary {
 
     /// Formats the summary as text for a terminal of `width` columns; `None` for unlimited width.
     pub fn to_text(&self, ending: &Ending, width: Option<usize>) -> String {
-        let [p50, p99, max] = self.times();
+        let [p50, p99, max] = time_percentiles(&self.elapsed);
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
         table.add_row(["scans", &self.poses.len().to_string()]);
@@ -181,7 +169,7 @@ impl Summary {
         for (reason, count) in self.failures.counts() {
             table.add_row(["", &format!("{count}: {reason}")]);
         }
-        table.add_row(["path length", &format!("{:.2} m", self.path_length())]);
+        table.add_row(["path length", &format!("{:.2} m", path_length(&self.poses))]);
         table.add_row(["keyframes", &ending.counters.keyframes.to_string()]);
         table.add_row(["closed loops", &ending.counters.closed_loops.to_string()]);
         if ending.odometry_lag != 0.0 {

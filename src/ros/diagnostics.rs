@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::mem;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::Duration;
 
 use rosrust::api::Ros;
@@ -15,6 +15,7 @@ use crate::messages::Time;
 use crate::messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use crate::messages::std_msgs::Header;
 use crate::odometry::Outcome;
+use crate::parallel::lock;
 use crate::quantile;
 
 /// Time between two messages.
@@ -95,7 +96,7 @@ struct Counts {
 
 impl Monitor {
     pub(super) fn record(&self, sample: Sample) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.counts.answered += 1;
         state.counts.late += u64::from(!sample.overrun.is_zero());
         state.counts.worst_overrun = state.counts.worst_overrun.max(sample.overrun);
@@ -107,17 +108,17 @@ impl Monitor {
     }
 
     pub(super) fn count_rejected(&self) {
-        self.lock().counts.rejected += 1;
+        lock(&self.state).counts.rejected += 1;
     }
 
     /// Sets the number of messages that exceeded the size limit.
     pub(super) fn set_oversized(&self, count: u64) {
-        self.lock().counts.oversized = count;
+        lock(&self.state).counts.oversized = count;
     }
 
     /// Sets or clears an abnormal condition.
     pub(super) fn set_condition(&self, condition: &'static str, holds: bool) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         if holds {
             state.conditions.insert(condition);
         } else {
@@ -125,20 +126,16 @@ impl Monitor {
         }
     }
 
-    /// Sets the lag of the wheel odometry behind the scans, s.
+    /// Sets the lag of the scans behind the wheel odometry, s.
     pub(super) fn set_odometry_lag(&self, lag: f64) {
-        self.lock().odometry_lag = Some(lag);
+        lock(&self.state).odometry_lag = Some(lag);
     }
 
     /// Returns the state, and clears what is collected per period.
     fn take(&self) -> State {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         let (latencies, problem) = (mem::take(&mut state.latencies), state.problem.take());
         State { latencies, problem, ..state.clone() }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

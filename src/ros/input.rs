@@ -28,14 +28,21 @@ pub(super) enum Handling<A> {
     Event(Handler<A>),
 }
 
+/// Topic of the scans or of the point clouds that a node processes.
+pub(super) fn scan_topic(are_clouds: bool) -> &'static str {
+    if are_clouds { "cloud" } else { "scan" }
+}
+
 impl<A> Input<A> {
     /// The scans or the point clouds that the node processes.
     pub(super) fn scans(are_clouds: bool) -> Self {
-        if are_clouds {
-            Self { topic: Topic::required::<PointCloud2>("cloud"), handling: Handling::Cloud }
+        let name = scan_topic(are_clouds);
+        let (topic, handling) = if are_clouds {
+            (Topic::of::<PointCloud2>(name), Handling::Cloud)
         } else {
-            Self { topic: Topic::required::<LaserScan>("scan"), handling: Handling::Scan }
-        }
+            (Topic::of::<LaserScan>(name), Handling::Scan)
+        };
+        Self { topic, handling }.required()
     }
 
     /// Requests to publish the answer at once.

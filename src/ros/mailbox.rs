@@ -2,13 +2,14 @@
 
 use std::collections::VecDeque;
 use std::mem;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use super::interrupts::POLL_PERIOD;
 use super::live_params::MatchingChange;
 use super::sink::RawMessage;
 use crate::anytime::interrupt::Interrupt;
+use crate::parallel::lock;
 
 /// Maximum number of queued events: four seconds of odometry at 1 kHz. During a longer match the oldest are lost.
 const MAX_EVENTS: usize = 4096;
@@ -134,14 +135,14 @@ pub(super) struct Dropped {
 
 impl Mailbox {
     pub(super) fn put_scan(&self, raw: RawMessage) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.scans.push_back(raw);
         state.drop_old_scans();
         self.filled.notify_one();
     }
 
     pub(super) fn put_event(&self, event: Event) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.bytes += event.bytes();
         state.events.push_back(event);
         while state.is_overfull()
@@ -155,41 +156,41 @@ impl Mailbox {
 
     /// Sets the maximum wait of scans in the queue. Zero: every scan replaces the one before.
     pub(super) fn set_max_wait(&self, max_wait: Duration) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         if state.max_wait != max_wait {
             state.max_wait = max_wait;
             state.drop_old_scans();
         }
     }
 
-    /// Counts scans that were lost in transport.
-    pub(super) fn count_lost_scans(&self, count: u64) {
-        self.lock().dropped.scans += count;
+    /// Counts scans that were dropped elsewhere: lost in transport, or replaced while they waited for the timer.
+    pub(super) fn count_dropped_scans(&self, count: u64) {
+        lock(&self.state).dropped.scans += count;
     }
 
     /// Waits for work. Returns `None` once the mailbox is closed.
     pub(super) fn take(&self) -> Option<Batch> {
-        let mut state = self.filled.wait_while(self.lock(), State::is_idle).unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.filled.wait_while(lock(&self.state), State::is_idle).unwrap_or_else(PoisonError::into_inner);
         (!state.closed).then(|| state.take())
     }
 
     /// Waits for work for at most `timeout`; after that the batch may be empty. Returns `None` once the mailbox is closed.
     pub(super) fn take_within(&self, timeout: Duration) -> Option<Batch> {
-        let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle);
+        let waited = self.filled.wait_timeout_while(lock(&self.state), timeout, State::is_idle);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         (!state.closed).then(|| state.take())
     }
 
     /// Waits for events while a scan is held back for at most `left`. Returns `None` if the scan must be processed now.
     pub(super) fn events_for_held_scan(&self, left: Duration, interrupt: &dyn Interrupt) -> Option<VecDeque<Event>> {
-        let must_release = left.is_zero() || interrupt.is_requested() || self.lock().must_release_held_scan();
+        let must_release = left.is_zero() || interrupt.is_requested() || lock(&self.state).must_release_held_scan();
         (!must_release).then(|| self.take_events(left.min(POLL_PERIOD)).unwrap_or_default())
     }
 
     /// Waits for events while a scan is held back, for at most `timeout` or until the scan must be released. Returns `None` if
     /// none came.
     fn take_events(&self, timeout: Duration) -> Option<VecDeque<Event>> {
-        let waited = self.filled.wait_timeout_while(self.lock(), timeout, State::is_idle_for_held_scan);
+        let waited = self.filled.wait_timeout_while(lock(&self.state), timeout, State::is_idle_for_held_scan);
         let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
         let events = state.take_events();
         (!events.is_empty()).then_some(events)
@@ -197,22 +198,17 @@ impl Mailbox {
 
     /// Whether a scan is queued.
     pub(super) fn has_scan(&self) -> bool {
-        !self.lock().scans.is_empty()
+        !lock(&self.state).scans.is_empty()
     }
 
     pub(super) fn dropped(&self) -> Dropped {
-        self.lock().dropped
+        lock(&self.state).dropped
     }
 
     /// Ends [`Self::take`].
     pub(super) fn close(&self) {
-        self.lock().closed = true;
+        lock(&self.state).closed = true;
         self.filled.notify_all();
-    }
-
-    /// Locks, ignoring poisoning: the state is consistent at all times, even if a thread panicked while holding the lock.
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -1,6 +1,6 @@
 //! The connection to the ROS master: waiting for it at the start, and registering again after it was restarted.
 
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
@@ -11,6 +11,7 @@ use super::node_api;
 use super::shutdown::StopSignal;
 use super::sockets;
 use super::tcpros::request_topic;
+use crate::parallel::lock;
 
 /// Time between two attempts to reach the master at the start.
 const RETRY_PERIOD: Duration = Duration::from_millis(500);
@@ -54,7 +55,7 @@ static REGISTERED: Mutex<Vec<Weak<MasterRegistration>>> = Mutex::new(Vec::new())
 pub(super) fn track_registration(ros: &Ros, registration: MasterRegistration) -> Result<Arc<MasterRegistration>, NodeError> {
     sockets::tune(&registration.port(ros)?.into_iter().collect());
     let registration = Arc::new(registration);
-    REGISTERED.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(&registration));
+    lock(&REGISTERED).push(Arc::downgrade(&registration));
     Ok(registration)
 }
 
@@ -137,7 +138,7 @@ impl<'a> MasterLink<'a> {
     }
 
     fn register_again(&mut self) {
-        let mut registered = REGISTERED.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut registered = lock(&REGISTERED);
         registered.retain(|registration| registration.strong_count() > 0);
         let active: Vec<_> = registered.iter().filter_map(Weak::upgrade).collect();
         drop(registered);

@@ -1,7 +1,7 @@
 //! What all nodes have in common: setup, the worker thread, and the main thread that handles signals, the master and diagnostics.
 
 use std::sync::Arc;
-use std::thread::{self, JoinHandle};
+use std::thread;
 use std::time::Duration;
 
 use rosrust::api::{Master, Ros};
@@ -20,6 +20,7 @@ use super::services::Service;
 use super::shutdown::StopSignal;
 use super::sink::RawMessage;
 use super::subscriptions::Subscriptions;
+use super::threads::spawn_scoped;
 use super::worker::{Algorithm, Worker};
 use crate::anytime::clock::MonotonicClock;
 use crate::anytime::timer::Timer;
@@ -39,11 +40,6 @@ pub(super) fn run(name: &str, serve: impl FnOnce(&Ros, &Master, &StopSignal) -> 
     let outcome = connect(ros.name(), ros.uri()).and_then(|master| serve(&ros, &master, &stop));
     ros.shutdown_sender().shutdown(); // removes the last registration from the master: rosrust's own publisher of /rosout
     outcome
-}
-
-/// Starts a named thread.
-pub(super) fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, NodeError> {
-    thread::Builder::new().name(name.into()).spawn(work).map_err(no_thread)
 }
 
 /// The parts of a node that has not been built yet.
@@ -112,7 +108,7 @@ fn subscribe<A>(subscriptions: &Subscriptions, index: usize, input: &Input<A>, s
     let mut sequence = SequenceTracker::default();
     match input.handling {
         Handling::Scan | Handling::Cloud => subscriptions.subscribe(input.topic, move |raw: RawMessage| {
-            mailbox.count_lost_scans(sequence.lost_before(&raw).into());
+            mailbox.count_dropped_scans(sequence.lost_before(&raw).into());
             mailbox.put_scan(raw);
         }),
         Handling::Interrupt => subscriptions.subscribe(input.topic, move |_| interrupts.request()),
@@ -143,7 +139,7 @@ impl Node<'_> {
     pub(super) fn run(mut self, stop: &StopSignal, maintain: impl FnMut()) -> Result<(), NodeError> {
         let Some(work) = self.work.take() else { return Ok(()) };
         thread::scope(|scope| {
-            let worker = thread::Builder::new().name(self.thread.into()).spawn_scoped(scope, work).map_err(no_thread)?;
+            let worker = spawn_scoped(scope, self.thread, work)?;
             self.supervise(stop, maintain);
             self.shared.mailbox.close();
             let _ = worker.join(); // a panic of the worker has already been printed
@@ -172,8 +168,4 @@ impl Node<'_> {
         monitor.set_oversized(self.subscriptions.oversized());
         diagnostics.publish(self.ros, monitor, mailbox.dropped(), self.master.is_present(), elapsed.as_secs_f64());
     }
-}
-
-fn no_thread(problem: std::io::Error) -> NodeError {
-    NodeError::System { action: "start a thread", problem }
 }

@@ -13,14 +13,15 @@
 
 use std::env;
 use std::net::{SocketAddr, ToSocketAddrs as _};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
-use std::thread;
+use std::sync::{Arc, Mutex, OnceLock, Weak};
 
 use rosrust::api::resolve;
 use rosrust::{Message, Publisher};
 use xml_rpc::{Fault, Params, Response, Server, Url, Value};
 
 use super::NodeError;
+use super::threads::spawn;
+use crate::parallel::lock;
 
 /// Environment variable from which rosrust reads the master's address, unless [`MASTER_ARGUMENT`] is given.
 const MASTER: &str = "ROS_MASTER_URI";
@@ -263,8 +264,7 @@ fn serve(server: Server, host: &str) -> Result<SocketAddr, NodeError> {
     let address = address.ok_or_else(|| failed("the host name has no address".into()))?;
     let bound = server.bind(&address).map_err(|error| failed(error.to_string()))?;
     let address = bound.local_addr();
-    let spawned = thread::Builder::new().name("interface".into()).spawn(move || bound.run());
-    spawned.map_err(|problem| NodeError::System { action: "start a thread", problem })?;
+    spawn("interface", move || bound.run())?;
     Ok(address)
 }
 
@@ -286,11 +286,6 @@ fn replace(arguments: &mut [Value], old: &str, new: &str) {
             _ => {}
         }
     }
-}
-
-/// Locks, ignoring poisoning: the data is consistent at all times, even if a thread panicked while holding the lock.
-fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! files. The others return maps.
 
 use std::sync::mpsc::{Sender, SyncSender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use rosrust::RosMsg as _;
@@ -14,6 +14,7 @@ use super::NodeError;
 use super::mailbox::{Event, Mailbox, Request};
 use super::master::{MasterRegistration, track_registration};
 use crate::messages::{encode, nav_msgs};
+use crate::parallel::lock;
 
 /// Maximum wait for the matching thread, which may be busy with a long match.
 const TIMEOUT: Duration = Duration::from_secs(5);
@@ -67,7 +68,7 @@ pub(super) type LastMap = Arc<Mutex<Option<nav_msgs::OccupancyGrid>>>;
 /// A service that returns the latest map.
 pub(super) fn map(ros: &Ros, name: &'static str, last: LastMap) -> Result<Service, NodeError> {
     let answer = move |_| {
-        let last = last.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let last = lock(&last).clone();
         map_response(&last.ok_or("there is no map yet: no scan has been added to it")?)
     };
     Service::of(ros, name, ros.service::<GetMap, _>(name, answer))
@@ -89,7 +90,7 @@ pub(super) fn delegated<O: Send + 'static>(
     let commands = Mutex::new(commands);
     Service::advertise(ros, name, move || {
         let (sender, reply) = channel();
-        let commands = commands.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let commands = lock(&commands).clone();
         commands.send(command(sender)).map_err(|_| "the node is shutting down")?;
         reply.recv().unwrap_or_else(|_| Err("the node is shutting down".into()))
     })
@@ -100,7 +101,7 @@ pub(super) fn save_profile(ros: &Ros, mailbox: &Arc<Mailbox>) -> Result<(Service
     let (mailbox, (sender, replies)) = (Arc::clone(mailbox), channel());
     let replies = Mutex::new(replies);
     let save = move || {
-        let replies = replies.lock().unwrap_or_else(PoisonError::into_inner);
+        let replies = lock(&replies);
         while replies.try_recv().is_ok() {} // late replies to earlier calls that timed out
         mailbox.put_event(Event::Request(Request::SaveProfile));
         replies

@@ -10,6 +10,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
 use super::NodeError;
+use super::threads::spawn;
 
 /// Time for unregistering from the master. The master may hang, and the user who pressed Ctrl-C should not wait for it.
 const GRACE_PERIOD: Duration = Duration::from_millis(600);
@@ -27,8 +28,8 @@ impl StopSignal {
     /// Installs the handler. From now on a signal ends the process, with exit code 0, at the latest after [`GRACE_PERIOD`]. While
     /// the exit is held, only a second signal ends it.
     pub(super) fn install() -> Result<Self, NodeError> {
-        let system = |problem| NodeError::System { action: "handle signals", problem };
-        let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(system)?;
+        let mut signals =
+            Signals::new([SIGINT, SIGTERM]).map_err(|problem| NodeError::System { action: "handle signals", problem })?;
         let (sender, received) = channel();
         let is_held = Arc::new(AtomicBool::new(false));
         let held = Arc::clone(&is_held);
@@ -42,7 +43,7 @@ impl StopSignal {
                 std::process::exit(0);
             }
         };
-        thread::Builder::new().name("signals".into()).spawn(wait).map_err(system)?;
+        spawn("signals", wait)?;
         Ok(Self { received, is_held })
     }
 

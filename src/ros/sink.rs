@@ -35,10 +35,6 @@ impl Topic {
         Self { name, message_type: T::TYPE, md5: &T::definition().md5, is_required: false }
     }
 
-    pub(super) fn required<T: Message>(name: &'static str) -> Self {
-        Self { is_required: true, ..Self::of::<T>(name) }
-    }
-
     /// The registration with the master.
     pub(super) fn registration(self) -> MasterRegistration {
         MasterRegistration::Subscriber { topic: self.name, message_type: self.message_type }

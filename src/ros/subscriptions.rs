@@ -7,7 +7,7 @@
 //! after the master has been replaced.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock};
 use std::thread::{self, Thread};
 use std::time::{Duration, Instant};
 
@@ -18,8 +18,10 @@ use super::log::Log;
 use super::master::{connect, resolved};
 use super::node_api::{self, SubscriptionInfo};
 use super::sink::{RawMessage, Sink, Topic};
-use super::topic_subscription::TopicSubscription;
+use super::threads::spawn;
+use super::topic_subscription::{SILENCE_TIMEOUT, TopicSubscription};
 use crate::anytime::clock::Clock;
+use crate::parallel::lock;
 
 /// Time between two polls of the master while a required topic has no publisher or publishers have just changed: `rosbag play`
 /// gives its subscribers 200 ms to connect.
@@ -73,10 +75,7 @@ impl<'a> Subscriptions<'a> {
         let shared =
             Arc::new(Shared { master, subscriptions: Mutex::default(), closed: AtomicBool::new(false), poller: OnceLock::new() });
         let polled = Arc::clone(&shared);
-        let poller = thread::Builder::new()
-            .name("subscriptions".into())
-            .spawn(move || polled.poll_master())
-            .map_err(|problem| NodeError::System { action: "start a thread", problem })?;
+        let poller = spawn("subscriptions", move || polled.poll_master())?;
         let _ = shared.poller.set(poller.thread().clone());
         node_api::set_subscription_info(&shared);
         Ok(Self { ros, clock: Arc::clone(clock), log: log.clone(), shared })
@@ -150,26 +149,26 @@ impl Shared {
                 .filter(|(topic, published)| published == message_type && *topic != subscription.topic)
                 .map(|(topic, _)| topic)
                 .collect();
-            let text = silence_reason(name, message_type, &publishers, &others);
-            subscription.log.warn(&format!("topic {}: no message for 5 s: {text}", subscription.topic));
+            let text = silence_warning(name, message_type, &publishers, &others);
+            subscription.log.warn(&format!("topic {}: {text}", subscription.topic));
         }
     }
 
     fn subscriptions(&self) -> MutexGuard<'_, Vec<Arc<TopicSubscription>>> {
-        self.subscriptions.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.subscriptions)
     }
 }
 
-/// The likely reason why no messages come, and the remedy. `name`: the topic before remapping; `others`: published topics of its
+/// The warning of a silent topic, with the likely reason and the remedy. `name`: the topic before remapping; `others`: published topics of its
 /// type.
-fn silence_reason(name: &str, message_type: &str, publishers: &[String], others: &[String]) -> String {
+fn silence_warning(name: &str, message_type: &str, publishers: &[String], others: &[String]) -> String {
     let cause =
         if publishers.is_empty() { "it has no publisher".into() } else { format!("{} sends nothing", publishers.join(", ")) };
     let remedy = match others {
         [] => format!("no other topic has the type {message_type}"),
         [first, ..] => format!("other topics of {message_type}: {}; to use one, remap: {name}:={first}", others.join(", ")),
     };
-    format!("{cause}; {remedy}")
+    format!("no message for {} s: {cause}; {remedy}", SILENCE_TIMEOUT.as_secs())
 }
 
 #[cfg(test)]
@@ -177,14 +176,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_warning_names_publishers_and_other_topics() {
+    fn the_warning_names_the_timeout_publishers_and_other_topics() {
         let names = |names: &[&str]| names.iter().map(ToString::to_string).collect::<Vec<_>>();
-        let unpublished = silence_reason("scan", "sensor_msgs/LaserScan", &[], &[]);
-        assert_eq!(unpublished, "it has no publisher; no other topic has the type sensor_msgs/LaserScan");
-        let silent = silence_reason("scan", "sensor_msgs/LaserScan", &names(&["/laser"]), &names(&["/front", "/rear"]));
+        let start = format!("no message for {} s: ", SILENCE_TIMEOUT.as_secs());
+        let unpublished = silence_warning("scan", "sensor_msgs/LaserScan", &[], &[]);
+        assert_eq!(unpublished, start.clone() + "it has no publisher; no other topic has the type sensor_msgs/LaserScan");
+        let silent = silence_warning("scan", "sensor_msgs/LaserScan", &names(&["/laser"]), &names(&["/front", "/rear"]));
         assert_eq!(
             silent,
-            "/laser sends nothing; other topics of sensor_msgs/LaserScan: /front, /rear; to use one, remap: scan:=/front"
+            start + "/laser sends nothing; other topics of sensor_msgs/LaserScan: /front, /rear; to use one, remap: scan:=/front"
         );
     }
 }

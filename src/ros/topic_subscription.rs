@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::net::TcpStream;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
 
@@ -12,12 +12,14 @@ use rosrust::api::Master;
 use super::log::{Log, Throttle};
 use super::sink::{Sink, Topic};
 use super::tcpros::{LinkError, connect, read_message, request_topic};
+use super::threads::spawn;
 use crate::anytime::clock::Clock;
+use crate::parallel::lock;
 
 /// Time between the end of a connection and the next attempt to connect.
 const RETRY_PERIOD: Duration = Duration::from_millis(500);
 /// Time without messages on a required topic after which a warning is logged.
-const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
+pub(super) const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The subscription to a topic, with a thread for each publisher. A link lasts as long as its TCP connection, even if the master
 /// no longer knows the publisher.
@@ -121,10 +123,10 @@ impl TopicSubscription {
         }
         for publisher in new {
             let (subscription, name) = (Arc::clone(self), publisher.clone());
-            match thread::Builder::new().name("link".into()).spawn(move || subscription.keep_connected(&name)) {
+            match spawn("link", move || subscription.keep_connected(&name)) {
                 Ok(_) => drop(publishers.with_thread.insert(publisher)),
                 Err(error) if publishers.throttle.allows("thread", self.clock.now()) => {
-                    self.log.warn(&format!("topic {}: no connection to {publisher}: cannot start a thread: {error}", self.topic));
+                    self.log.warn(&format!("topic {}: no connection to {publisher}: {error}", self.topic));
                 }
                 Err(_) => {}
             }
@@ -202,11 +204,6 @@ impl TopicSubscription {
         }
         is_gone
     }
-}
-
-/// Locks, ignoring poisoning: the data is consistent at all times, even if a thread panicked while holding the lock.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

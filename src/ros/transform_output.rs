@@ -2,14 +2,17 @@
 //! too.
 
 use std::collections::BTreeSet;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 use rosrust::api::Ros;
 
 use super::NodeError;
+use super::context::Shared;
+use super::diagnostics::TRANSFORM_WITHHELD;
 use super::output::Output;
 use crate::messages::geometry_msgs::TransformStamped;
 use crate::messages::tf2_msgs::TFMessage;
+use crate::parallel::lock;
 use crate::transforms::frame_name;
 
 /// Another node that publishes a transform which conflicts with one of this node.
@@ -47,7 +50,7 @@ struct State {
 impl TransformOutput {
     /// Switches the transform to `child` on or off. If none is on, the node no longer advertises `/tf`.
     pub(super) fn switch(&self, ros: &Ros, child: &str, on: bool) -> Result<(), NodeError> {
-        let mut state = self.lock();
+        let mut state = lock(&self.0);
         if on {
             state.children.insert(frame_name(child).into());
             if state.output.is_none() {
@@ -59,29 +62,26 @@ impl TransformOutput {
         Ok(())
     }
 
-    /// Stops publishing the transform to `child`, and returns the warning to log if it was on. A frame can have only one parent,
-    /// and the other publisher takes precedence: it was there first, or knows better, as a simulator does.
-    pub(super) fn yield_to(&self, other: &ConflictingPublisher, child: &str) -> Option<String> {
+    /// Stops publishing the transform to `child`, and warns if it was on. A frame can have only one parent, and the other
+    /// publisher takes precedence: it was there first, or knows better, as a simulator does.
+    pub(super) fn yield_to(&self, other: &ConflictingPublisher, child: &str, shared: &Shared) {
         let ConflictingPublisher { sender, parent, child: other_child } = other;
-        self.lock().remove(child).then(|| {
-            format!(
+        if lock(&self.0).remove(child) {
+            shared.log.warn(&format!(
                 "{sender} publishes the transform {parent} -> {other_child}: this node stops publishing its own transform to \
                  {child}, since a frame can have only one parent (to choose, set the parameters publish_tf and publish_map_tf)",
-            )
-        })
+            ));
+            shared.monitor.set_condition(TRANSFORM_WITHHELD, true);
+        }
     }
 
     /// Publishes those of the transforms that are on.
     pub(super) fn send<const N: usize>(&self, transforms: impl FnOnce() -> [TransformStamped; N]) {
-        let State { output, children } = &*self.lock();
+        let State { output, children } = &*lock(&self.0);
         let is_on = |transform: &TransformStamped| children.contains(frame_name(&transform.child_frame_id));
         if let Some(output) = output {
             output.send(|| TFMessage { transforms: transforms().into_iter().filter(is_on).collect() });
         }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -66,7 +66,7 @@ impl<A: Algorithm> Worker<A> {
             self.handle(events);
             if let Some(scan) = scan {
                 let is_replaced = self.pending.replace(scan).is_some();
-                self.context.shared.mailbox.count_lost_scans(is_replaced.into());
+                self.context.shared.mailbox.count_dropped_scans(is_replaced.into());
             }
             let now = self.context.shared.clock.now();
             if timer.as_mut().is_none_or(|timer| timer.is_due(now)) {

@@ -1,4 +1,4 @@
-//! Maps a segment into the memory of this process: the only unsafe code of the project.
+//! Maps a segment into the memory of this process: with one line of `ros::node_api`, the only unsafe code of the project.
 #![allow(unsafe_code)]
 
 use std::ops::Deref;

@@ -2,13 +2,14 @@
 
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::{Acquire, Release};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use super::error::{Problem, SharedMemoryError};
 use super::estimate::SharedEstimate;
 use super::server::Server;
+use crate::parallel::lock;
 
 /// Timeout of the watcher's sleep. It can be long, because both requests and the shutdown wake the watcher.
 const WATCH_TIMEOUT: Duration = Duration::from_secs(3600);
@@ -136,7 +137,7 @@ impl Shared {
 
     /// Locks the activity. It is valid at every moment, even if a thread has panicked while holding the lock.
     fn lock(&self) -> MutexGuard<'_, Activity> {
-        self.activity.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.activity)
     }
 }
 

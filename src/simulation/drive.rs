@@ -23,8 +23,8 @@ use super::vehicle::VehicleKnobs;
 pub const START: Stamp = Stamp::from_nanoseconds(1_700_000_000_000_000_000);
 /// Frame of the world.
 pub const MAP_FRAME: &str = "map";
-/// Time from the last ray of a scan to its arrival, s: laser drivers take some milliseconds.
-const SCAN_LATENCY: f64 = 0.005;
+/// Time from the last ray of a scan to its arrival, ms: laser drivers take some milliseconds.
+pub const SCAN_LATENCY_MS: u32 = 5;
 
 knobs! {
     /// The simulated drive.
@@ -94,7 +94,7 @@ pub fn simulate<E>(
     let mut odometer = Odometer::new(odometer, motion.pose_at(0.0), random(2));
     let traffic = Traffic::new(traffic, &scene.route, scene.world.as_ref(), &motion, random(3));
 
-    let scan_delay = lidar.sweep_time() + SCAN_LATENCY;
+    let scan_delay = lidar.sweep_time() + f64::from(SCAN_LATENCY_MS) * 1e-3;
     let mut schedule = vec![(START, Due::Mount)];
     schedule.extend(times_until(drive.duration, odometry_time).map(|(k, t)| (START.offset_by(t), Due::Odometry(k))));
     schedule.extend(times_until(drive.duration, scan_time).map(|(k, t)| (START.offset_by(t), Due::Truth(k))));

@@ -3,7 +3,6 @@
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use crate::geometry::Point;
 use crate::map::grid::OccupancyGrid;
 
 use super::built_in::BuiltIn;
@@ -29,7 +28,8 @@ impl Scene {
     /// A built-in world with its route.
     pub fn built_in(which: BuiltIn) -> Result<Self, NoLoop> {
         let (world, corners) = which.build();
-        Self::new(world, &corners)
+        let route = Route::smooth(&corners, &world, MARGIN).ok_or(NoLoop::NoIsland)?;
+        Ok(Self { world: Box::new(world), route })
     }
 
     /// A map, with a route planned in it. The seed selects direction and start of the route.
@@ -40,10 +40,5 @@ impl Scene {
         let start = random.random_range(0..route.points().len());
         let route = if random.random() { route } else { route.reversed() };
         Ok(Self { world: Box::new(world), route: route.begun_at(start) })
-    }
-
-    fn new(world: impl World + 'static, corners: &[Point]) -> Result<Self, NoLoop> {
-        let route = Route::smooth(corners, &world, MARGIN).ok_or(NoLoop::NoIsland)?;
-        Ok(Self { world: Box::new(world), route })
     }
 }

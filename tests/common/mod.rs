@@ -7,6 +7,8 @@ pub mod drive;
 pub mod graph;
 #[cfg(feature = "ros")]
 pub mod player;
+#[cfg(feature = "cli")]
+pub mod program;
 pub mod skipped;
 #[cfg(feature = "ros")]
 pub mod wire;

@@ -14,7 +14,7 @@ use anytime_scan_matcher::map::grid::Cell;
 use anytime_scan_matcher::messages::decode;
 use anytime_scan_matcher::messages::geometry_msgs::{Point, PointStamped, PoseWithCovarianceStamped, TransformStamped};
 use anytime_scan_matcher::messages::nav_msgs::{MapMetaData, OccupancyGrid as MapMessage, Odometry};
-use anytime_scan_matcher::messages::own::FilterReport;
+use anytime_scan_matcher::messages::own::{Contract, FilterReport};
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::messages::std_msgs::Header;
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
@@ -178,6 +178,9 @@ fn the_robot_is_localized_on_a_map_that_arrives_late() {
         writer.write("/map", start.offset_by(0.4), &bad).unwrap();
         bad.info.height = 5;
         writer.write("/map", start.offset_by(1.6), &bad).unwrap();
+        // It is checked once there is a map.
+        let contract = Contract { translation_error_bound: -1.0, ..Contract::default() };
+        writer.write("/icp_contract", start.offset_by(1.6), &contract).unwrap();
         // The second time the map is unchanged.
         for seconds in [2.0, 6.0] {
             writer.write("/map", start.offset_by(seconds), &message(&corridor(), "map")).unwrap();
@@ -190,6 +193,7 @@ fn the_robot_is_localized_on_a_map_that_arrives_late() {
     node.expect_log("resolution is -1");
     node.expect_log("cells do not make 400 x 5");
     node.expect_log("using a map of 400 x 300 cells of 0.05 m");
+    node.expect_log("icp_contract: message from /play");
     assert!(graph.trigger("/pf/global_localization").contains("anywhere"));
     assert_eq!(player.exit_code(6 * TIMEOUT), Some(0));
     let received = Received::read(&graph.finish_recording(recorder));

@@ -17,6 +17,7 @@ use rosrust_msg::nav_msgs::GetMap;
 use serde_json::Value;
 
 use crate::common::graph::{Graph, Process, TIMEOUT, eventually};
+use crate::common::program::json;
 use crate::localization::{Drive, Received, TOPICS, map_file};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_mapper");
@@ -46,10 +47,7 @@ fn served(graph: &Graph) -> OccupancyGrid {
 /// Compares a saved map with the corridor.
 fn compare(folder: &Path, name: &str) -> Value {
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
-    let arguments = ["evaluate", "--map", &path(name), "--truth-map", &path("corridor.yaml"), "--json"];
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(arguments).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
+    json(&["evaluate", "--map", &path(name), "--truth-map", &path("corridor.yaml"), "--json"])
 }
 
 #[test]

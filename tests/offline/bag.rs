@@ -19,6 +19,7 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use crate::common::program::success;
 use crate::common::shared;
 use crate::common::skipped::skip;
 
@@ -582,7 +583,7 @@ fn the_summary_has_geometry_rates_and_problems() {
     let summary = BagSummary::read(&Bag::open(&path).unwrap(), || ()).unwrap();
     assert_eq!(summary.messages, 203);
     let laser = &summary.lasers[0];
-    assert_eq!((laser.beams, laser.usable, laser.unusable, laser.geometry_changes), (541, 100, 1, 0));
+    assert_eq!((laser.beams, laser.usability.usable, laser.usability.unusable, laser.geometry_changes), (541, 100, 1, 0));
     assert!((laser.field_of_view_deg - 5.4_f64.to_degrees()).abs() < 1e-4 && laser.valid_percent > 99.9);
     let scans = summary.topics.iter().find(|topic| topic.topic == "/scan").unwrap();
     assert!((scans.rate_hz.unwrap() - 40.0).abs() < 1e-6 && scans.stamps_back == 1);
@@ -602,11 +603,7 @@ fn info_prints_a_table_or_json() {
     let dir = scratch();
     let path = dir.path().join("a.bag");
     write_drive(&mut BagWriter::create(&path, Compression::Bz2).unwrap(), 50, 541);
-    let info = |arguments: &[&str]| {
-        let output = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("info").args(arguments).arg(&path).output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8(output.stdout).unwrap()
-    };
+    let info = |arguments: &[&str]| success(&[&["info", path.to_str().unwrap()], arguments].concat());
     let json: serde_json::Value = serde_json::from_str(&info(&["--json"])).unwrap();
     assert_eq!(json["messages"], 101);
     assert_eq!(json["lasers"][0]["beams"], 541);

@@ -1,7 +1,6 @@
 //! Inputs that caused failures on real robots, each with its expected result. They are stored beside the checkout (`../shared/cases`).
 
 use std::path::Path;
-use std::process::Command;
 
 use anytime_scan_matcher::app::planar_pose;
 use anytime_scan_matcher::geometry::{Pose2, wrap_angle};
@@ -12,6 +11,7 @@ use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::time::Stamp;
 use serde_json::Value;
 
+use crate::common::program::{anytime, json};
 use crate::common::shared;
 
 /// The summary of `anytime replay` for a case; `None` if the case is not available.
@@ -23,10 +23,7 @@ fn replay(case: &str, truth: &str, more: &[&str]) -> Option<Value> {
 }
 
 fn replay_bag(bag: &Path, arguments: &[&str]) -> Value {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_anytime")).arg("replay").arg(bag).arg("--json").args(arguments).output().unwrap();
-    assert!(output.status.success(), "{}: {}", bag.display(), String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
+    json(&[&["replay", bag.to_str().unwrap(), "--json"], arguments].concat())
 }
 
 /// The poses of a case in TUM format; `None` if the case is not available.
@@ -170,14 +167,14 @@ fn before_the_first_usable_scan_answers_follow_odometry() {
 #[test]
 fn a_laser_mounted_on_edge_is_reported() {
     let Some(bag) = shared("cases/k13_roll_90.bag") else { return };
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("replay").arg(&bag).arg("--json").output().unwrap();
+    let bag = bag.to_str().unwrap();
+    let output = anytime(&["replay", bag, "--json"]);
     let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(summary["matched"], 0, "{summary}");
     assert!(summary["failures"]["tilted_mount"].as_u64() > Some(0), "{summary}");
     assert!(summary["problems"].to_string().contains("tilted by"), "{summary}");
     assert_eq!(output.status.code(), Some(1), "no scan was usable: {}", String::from_utf8_lossy(&output.stderr));
-    let info = Command::new(env!("CARGO_BIN_EXE_anytime")).arg("info").arg(bag).arg("--json").output().unwrap();
-    let info: Value = serde_json::from_slice(&info.stdout).unwrap();
+    let info = json(&["info", bag, "--json"]);
     assert!(info["problems"].to_string().contains("tilted by 90 degrees against 'base_link'"), "{info}");
 }
 

@@ -1,14 +1,14 @@
 //! Point clouds in bags: floor and ceiling must not count as walls in `replay`, `localize`, `profile` and `info`.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::messages::geometry_msgs::TransformStamped;
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::sensor_msgs::{LaserScan, PointCloud2, PointField};
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
-use serde_json::Value;
+
+use crate::common::program::{failure, json};
 
 /// Number of scans of the demo that are turned into clouds.
 const SCANS: usize = 120;
@@ -67,12 +67,6 @@ fn write(path: &Path, topic: &str) {
     writer.finish().unwrap();
 }
 
-fn json(line: &[&str]) -> Value {
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(line).output().unwrap();
-    assert!(output.status.success(), "{line:?}: {}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
-}
-
 #[test]
 fn replay_and_localize_use_clouds_without_floor_and_ceiling() {
     let dir = tempfile::tempdir().unwrap();
@@ -105,7 +99,6 @@ fn info_and_errors_list_clouds() {
     assert!(cloud["topic"] == "/velodyne_points" && cloud["usable"] == SCANS && cloud["unusable"] == 0, "{cloud}");
     assert!((cloud["lowest_m"].as_f64().unwrap() + 0.42).abs() < 1e-5, "{cloud}");
     assert!(!info["problems"].to_string().contains("no usable scans"), "{info}");
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(["replay", path]).output().unwrap();
-    let error = String::from_utf8(output.stderr).unwrap();
+    let error = failure(&["replay", path], 1);
     assert!(error.contains("topics with sensor_msgs/PointCloud2: /velodyne_points"), "{error}");
 }

@@ -3,7 +3,6 @@
 use std::fs;
 use std::io::Write as _;
 use std::path::Path;
-use std::process::{Command, Output};
 
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::Bag;
@@ -15,18 +14,14 @@ use anytime_scan_matcher::messages::{Message, Time};
 use anytime_scan_matcher::scan::ScanConverter;
 use proptest::prelude::*;
 
-fn anytime(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_anytime")).args(arguments).output().unwrap()
-}
+use crate::common::program::{self, success};
 
 /// Converts the bytes of a log; returns the output of the program and the name of the bag.
 fn converted(folder: &Path, log: &[u8], flags: &[&str]) -> (String, String) {
     let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
     let (log_path, bag) = (path("in.clf"), path("out.bag"));
     fs::write(&log_path, log).unwrap();
-    let output = anytime(&[&["convert", &log_path, &bag], flags].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    (String::from_utf8(output.stdout).unwrap(), bag)
+    (success(&[&["convert", &log_path, &bag], flags].concat()), bag)
 }
 
 fn messages<T: Message>(bag: &str, topic: &str) -> Vec<T> {
@@ -154,9 +149,7 @@ fn damaged_lines_are_skipped_and_reported_and_other_files_are_errors() {
     let failure = |name: &str, text: &[u8]| {
         let path = folder.path().join(name);
         fs::write(&path, text).unwrap();
-        let output = anytime(&["convert", path.to_str().unwrap(), folder.path().join("o.bag").to_str().unwrap()]);
-        assert_eq!(output.status.code(), Some(1));
-        String::from_utf8(output.stderr).unwrap()
+        program::failure(&["convert", path.to_str().unwrap(), folder.path().join("o.bag").to_str().unwrap()], 1)
     };
     assert!(failure("empty.clf", b"# nothing\n").contains("has no data"));
     let cut = failure("cut.clf", cut.as_bytes());
@@ -165,9 +158,8 @@ fn damaged_lines_are_skipped_and_reported_and_other_files_are_errors() {
     assert!(negative.contains("the stamp is -3.0"), "{negative}");
     assert!(failure("a.bag", b"#ROSBAG V2.0\n\x01\x02 what").contains("is a bag already"));
     assert!(failure("broken.bz2", b"BZh9 this is no archive").contains("cannot read"));
-    let nowhere = anytime(&["convert", "no/such.clf", "x.bag"]);
-    assert!(nowhere.status.code() == Some(1) && String::from_utf8_lossy(&nowhere.stderr).contains("no/such.clf"));
-    assert_eq!(anytime(&["convert", "a.clf", "x.bag", "--fov", "0"]).status.code(), Some(2));
+    assert!(program::failure(&["convert", "no/such.clf", "x.bag"], 1).contains("no/such.clf"));
+    program::failure(&["convert", "a.clf", "x.bag", "--fov", "0"], 2);
 }
 
 #[test]
@@ -266,8 +258,7 @@ fn the_intel_log_becomes_the_same_bag_as_by_another_converter() {
     };
     let folder = tempfile::tempdir().unwrap();
     let ours = folder.path().join("intel.bag").to_str().unwrap().to_owned();
-    let output = anytime(&["convert", log.to_str().unwrap(), &ours]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    success(&["convert", log.to_str().unwrap(), &ours]);
     let theirs = theirs.to_str().unwrap();
     let seconds = |time: Time| f64::from(time.sec) + 1e-9 * f64::from(time.nsec);
 

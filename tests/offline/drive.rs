@@ -1,19 +1,13 @@
 //! Tests of `anytime drive` and of the closed loop behind it.
 
 use std::fs;
-use std::process::{Command, Output};
 
 use serde_json::Value;
 
-fn anytime(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_anytime")).arg("drive").args(arguments).output().unwrap()
-}
+use crate::common::program::{failure, json, success};
 
 fn cases(arguments: &[&str]) -> Vec<Value> {
-    let output = anytime(&[arguments, &["--json"]].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
-    json["cases"].as_array().unwrap().clone()
+    json(&[&["drive", "--json"], arguments].concat())["cases"].as_array().unwrap().clone()
 }
 
 fn number(case: &Value, path: &[&str]) -> f64 {
@@ -44,9 +38,8 @@ fn equal_seeds_give_equal_bytes() {
     let files = ["report.html", "figures.json", "path_1_seed_1.svg"];
     let drive = || {
         let out = folder.path().to_str().unwrap();
-        let bursts = ["--laps", "1", "--slowdown", "x100", "--bursts", "x5", "--policy", "fixed:10ms", "--beams", "361"];
-        let output = anytime(&[&bursts[..], &["--seeds", "2", "--out", out]].concat());
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let bursts = ["drive", "--laps", "1", "--slowdown", "x100", "--bursts", "x5", "--policy", "fixed:10ms", "--beams", "361"];
+        success(&[&bursts[..], &["--seeds", "2", "--out", out]].concat());
         files.map(|name| fs::read(folder.path().join(name)).unwrap())
     };
     let (first, second) = (drive(), drive());
@@ -82,8 +75,7 @@ fn a_table_outside_its_conditions_causes_a_warning() {
     let out = folder.path().to_str().unwrap();
     let profile = ["profile", "--world", "room", "--duration", "3s", "--beams", "90", "--knob", "time_budget", "--rounds", "1"];
     let variant = ["--variant", "projective+point_to_line", "--clock", "virtual", "--out", out];
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(profile).args(variant).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    success(&[&profile[..], &variant].concat());
     let drive = ["--estimator", "scan_matcher", "--laps", "1", "--speed", "3", "--beams", "361", "--policy", "table"];
     let own = &cases(&drive)[0];
     assert_eq!((number(own, &["finished"]), number(own, &["outside_profile"])), (1.0, 0.0), "{own}");
@@ -92,8 +84,7 @@ fn a_table_outside_its_conditions_causes_a_warning() {
         assert!(errors.len() > 3 && errors.is_sorted_by(|less_time, more| less_time >= more), "{errors:?}");
     }
     let file = format!("contract.profile={out}/profile.yaml");
-    let output = anytime(&[&drive[..], &["--set", &file, "--out", out]].concat());
-    let text = String::from_utf8(output.stdout).unwrap();
+    let text = success(&[&["drive"], &drive[..], &["--set", &file, "--out", out]].concat());
     assert!(text.contains("warning: ") && text.contains("outside the conditions of the profile: rays 361"), "{text}");
     assert!(fs::read_to_string(folder.path().join("report.html")).unwrap().contains("outside the conditions of the profile"));
 }
@@ -119,12 +110,9 @@ fn invalid_arguments_are_rejected_with_a_remedy() {
         (&["--policy", "table", "--set", "contract.profile=no/such.yaml"], 1, "no/such.yaml"),
         (&["--slowdown", "x0"], 2, "factor"),
     ] {
-        let output = anytime(arguments);
-        let text = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {text}");
+        let text = failure(&[&["drive"], arguments].concat(), code);
         assert!(text.contains(words), "{arguments:?}: {text}");
     }
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(["drive", "--world", "nowhere"]).output().unwrap();
-    let text = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.code() == Some(2) && text.contains("there is no map file of this name"), "{text}");
+    let text = failure(&["drive", "--world", "nowhere"], 2);
+    assert!(text.contains("there is no map file of this name"), "{text}");
 }

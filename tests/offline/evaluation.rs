@@ -16,6 +16,7 @@ use anytime_scan_matcher::time::Stamp;
 use proptest::prelude::*;
 use serde_json::Value;
 
+use crate::common::program::anytime;
 use crate::common::shared;
 use crate::common::skipped::skip;
 
@@ -424,7 +425,7 @@ mod program {
     use super::*;
 
     fn evaluate(arguments: &[&str]) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_anytime")).arg("evaluate").args(arguments).output().unwrap()
+        anytime(&[&["evaluate"], arguments].concat())
     }
 
     fn save(directory: &Path, name: &str, trajectory: &Trajectory) -> String {

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use crate::common::Laser;
 use anytime_scan_matcher::anytime::clock::VirtualClock;
+use anytime_scan_matcher::app::sensed::SensorMessage;
 use anytime_scan_matcher::app::{App, ScanProcessor as _, map_message};
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
@@ -108,7 +109,7 @@ fn fuzz(folder: &str, memory: u64, read: impl Fn(&[u8]) -> bool) {
 /// Gives these bytes to the application as every message type they decode to; returns whether it accepted any.
 fn handle(app: &mut App, bytes: &[u8]) -> bool {
     let scan = decode(bytes).map(|message: LaserScan| app.on_scan(&message, Duration::ZERO));
-    let cloud = decode(bytes).map(|message: PointCloud2| app.on_cloud(&message, Duration::ZERO));
+    let cloud = decode(bytes).map(|message: PointCloud2| app.on_sensed(&SensorMessage::Cloud(message), Duration::ZERO));
     let malformed = app.counters().malformed_scans;
     let mut scans = 0;
     for mut estimate in [scan, cloud].into_iter().flatten() {

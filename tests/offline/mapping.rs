@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{BagWriter, Compression};
@@ -17,23 +16,9 @@ use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
 use serde_json::Value;
 
+use crate::common::program::{failure, json};
+
 const CORRIDOR: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/maps/corridor.yaml");
-
-fn anytime(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_anytime")).args(arguments).output().unwrap()
-}
-
-fn json(arguments: &[&str]) -> Value {
-    let output = anytime(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
-}
-
-fn failure(arguments: &[&str]) -> String {
-    let output = anytime(arguments);
-    assert_eq!(output.status.code(), Some(1), "{arguments:?}: {}", String::from_utf8_lossy(&output.stdout));
-    String::from_utf8(output.stderr).unwrap()
-}
 
 /// Settings of drives in the corridor: a laser like a SICK's, and a slow car.
 fn settings(seed: u32, seconds: f64) -> Settings {
@@ -211,7 +196,7 @@ fn invalid_graph_files_are_reported_and_nothing_is_lost() {
     let problem = |bytes: &[u8]| {
         let (graph, out) = (drive.path("bad.graph"), drive.path("old"));
         fs::write(&graph, bytes).unwrap();
-        failure(&["map", &drive.bag, "--out", &out, "--extend", &graph])
+        failure(&["map", &drive.bag, "--out", &out, "--extend", &graph], 1)
     };
     let changed = |place: usize, value: u8| {
         let mut bytes = whole.clone();
@@ -223,7 +208,7 @@ fn invalid_graph_files_are_reported_and_nothing_is_lost() {
     assert!(problem(&changed(8, 77)).contains("version 77"));
     assert!(problem(&changed(whole.len() - 40, whole[whole.len() - 40] ^ 1)).contains("damaged"));
     assert!(problem(b"#ROSBAG V2.0\n").contains("not a graph file"));
-    assert!(failure(&["map", &drive.bag, "--out", &drive.path("x"), "--extend", "no/such.graph"]).contains("no/such.graph"));
+    assert!(failure(&["map", &drive.bag, "--out", &drive.path("x"), "--extend", "no/such.graph"], 1).contains("no/such.graph"));
     assert!(fs::read(drive.path("old.pgm")).unwrap() == before && !PathBuf::from(drive.path("x.pgm")).exists());
     let parts = fs::read_dir(drive.folder.path())
         .unwrap()
@@ -239,15 +224,15 @@ fn bags_without_usable_scans_are_reported() {
     let mut writer = BagWriter::create_whole(Path::new(&bag), Compression::None).unwrap();
     writer.write("/imu/data", Stamp::from_ros(1, 0), &Imu::default()).unwrap();
     writer.finish().unwrap();
-    assert!(failure(&["map", &bag, "--out", &path("a")]).contains("/scan"));
+    assert!(failure(&["map", &bag, "--out", &path("a")], 1).contains("/scan"));
     let bag = path("blind.bag");
     let mut writer = BagWriter::create_whole(Path::new(&bag), Compression::None).unwrap();
     let header = Header { stamp: Stamp::from_ros(1, 0).into(), ..Header::default() };
     let scan = LaserScan { header, angle_increment: 0.01, range_max: 10.0, ranges: vec![f32::NAN; 100], ..LaserScan::default() };
     writer.write("/scan", Stamp::from_ros(1, 0), &scan).unwrap();
     writer.finish().unwrap();
-    assert!(failure(&["map", &bag, "--out", &path("a")]).contains("no scan on /scan could be used"));
-    assert!(failure(&["map", &bag, "--out", &path("no/such/folder/a")]).contains("cannot create"));
+    assert!(failure(&["map", &bag, "--out", &path("a")], 1).contains("no scan on /scan could be used"));
+    assert!(failure(&["map", &bag, "--out", &path("no/such/folder/a")], 1).contains("cannot create"));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2, "only the bags must be left");
 }
 

@@ -2,27 +2,12 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
 use std::time::Duration;
 
 use anytime_scan_matcher::io::profile_file::Profile;
 use serde_json::Value;
 
-fn anytime(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_anytime")).args(arguments).current_dir(env!("CARGO_MANIFEST_DIR")).output().unwrap()
-}
-
-fn success(arguments: &[&str]) -> String {
-    let output = anytime(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
-
-fn failure(arguments: &[&str], code: i32) -> String {
-    let output = anytime(arguments);
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}", String::from_utf8_lossy(&output.stdout));
-    String::from_utf8(output.stderr).unwrap()
-}
+use crate::common::program::{failure, json, success};
 
 /// A bag of 40 scans of 180 beams from a moving robot, and its truth.
 fn drive(folder: &Path) -> (String, String) {
@@ -126,8 +111,7 @@ fn the_errors_are_those_of_evaluate() {
         "--set",
         "matching.correspondence=jump_table",
     ]);
-    let report: Value =
-        serde_json::from_str(&success(&["evaluate", tum.to_str().unwrap(), "--truth", &truth, "--json"])).unwrap();
+    let report = json(&["evaluate", tum.to_str().unwrap(), "--truth", &truth, "--json"]);
     let summary = table(&out.join("summary.csv"));
     let (position, orientation) = (column(&summary, "position_rmse_m")[0], column(&summary, "orientation_rmse_rad")[0]);
     // The file has nine decimals.

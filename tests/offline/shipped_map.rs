@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 use anytime_scan_matcher::geometry::{Point, Pose2};
 use anytime_scan_matcher::io::gray_image::GrayImage;
@@ -11,6 +10,8 @@ use anytime_scan_matcher::map::grid::{Cell, OccupancyGrid};
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::shapes::Shapes;
 use anytime_scan_matcher::simulation::world::World as _;
+
+use crate::common::program::json;
 
 const FOLDER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/maps");
 const RESOLUTION: f64 = 0.05;
@@ -62,10 +63,6 @@ fn the_shipped_map_is_of_the_built_in_corridor_and_small() {
 
 #[test]
 fn the_demo_is_localized_on_the_shipped_map() {
-    let mut localize = Command::new(env!("CARGO_BIN_EXE_anytime"));
-    localize.current_dir(env!("CARGO_MANIFEST_DIR")).args(["localize", "bags/demo.bag", "--map", "maps/corridor.yaml"]);
-    let output = localize.args(["--truth", "bags/demo.tum", "--json"]).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let summary = json(&["localize", "bags/demo.bag", "--map", "maps/corridor.yaml", "--truth", "bags/demo.tum", "--json"]);
     assert!(summary["localized"] == 400 && summary["position_rmse_m"].as_f64().unwrap() < 0.06, "{summary}");
 }

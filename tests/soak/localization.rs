@@ -1,19 +1,17 @@
 //! The particle filter on long drives: no false alarms, and its error on a recording of `racecar_simulator`.
 
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::Value;
 
+use crate::common::program::{json, success};
 use crate::common::shared;
 
 /// The JSON summary of the program.
 fn localize(bag: &Path, map: &Path, truth: &str, particles: u32) -> Value {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_anytime"));
-    command.arg("localize").arg(bag).arg("--map").arg(map).args(["--truth", truth, "--json"]);
-    let output = command.args(["--clock", "processor", "--particles", &particles.to_string()]).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
+    let [bag, map] = [bag, map].map(|path| path.to_str().unwrap());
+    let options = ["--json", "--clock", "processor", "--particles", &particles.to_string()];
+    json(&[&["localize", bag, "--map", map, "--truth", truth], &options[..]].concat())
 }
 
 #[test]
@@ -25,9 +23,8 @@ fn ten_drives_of_two_minutes_raise_no_false_alarm() {
         let particles = [1000, 2000, 4000][(seed + seed / 3) % 3];
         let Some(map) = shared(&format!("data/maps/{name}.yaml")) else { return };
         let bag = folder.path().join("drive.bag");
-        let mut simulate = Command::new(env!("CARGO_BIN_EXE_anytime"));
-        simulate.args(["simulate", "--duration", "120s", "--seed", &seed.to_string()]).arg("--world").arg(&map);
-        assert!(simulate.arg("--out").arg(&bag).output().unwrap().status.success());
+        let [world, out] = [&map, &bag].map(|path| path.to_str().unwrap());
+        success(&["simulate", "--duration", "120s", "--seed", &seed.to_string(), "--world", world, "--out", out]);
         let summary = localize(&bag, &map, "/gt_pose", particles);
         println!("{name}, {particles} particles, seed {seed}: {summary}");
         assert_eq!(summary["localized"], summary["scans"], "{name}, {particles} particles, seed {seed}: {summary}");

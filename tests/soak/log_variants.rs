@@ -3,14 +3,13 @@
 
 use std::f64::consts::FRAC_PI_3;
 use std::path::Path;
-use std::process::Command;
 
 use anytime_scan_matcher::io::bag::{Bag, BagWriter, Compression};
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::time::Stamp;
-use serde_json::Value;
 
+use crate::common::program::json;
 use crate::common::shared;
 
 /// Modifies a message; `false`: the message is left out.
@@ -107,12 +106,6 @@ fn write(variant: &Variant, log: &Path, path: &Path) {
         }
     }
     writer.finish().unwrap();
-}
-
-fn json(arguments: &[&str]) -> Value {
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(arguments).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
 }
 
 /// Limits on the relations of the variants: three times those of the original logs, m.

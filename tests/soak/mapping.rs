@@ -1,7 +1,6 @@
 //! Maps of places that look the same: no false loop may be closed.
 
 use std::path::Path;
-use std::process::Command;
 
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::io::bag::{BagWriter, Compression};
@@ -12,8 +11,8 @@ use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::map::grid::{Cell, OccupancyGrid};
 use anytime_scan_matcher::simulation::drive::Settings;
 use anytime_scan_matcher::simulation::scene::Scene;
-use serde_json::Value;
 
+use crate::common::program::json;
 use crate::common::shared;
 
 const RESOLUTION: f64 = 0.05;
@@ -56,12 +55,6 @@ fn grid(width: f64, height: f64, is_free: impl Fn(f64, f64) -> bool) -> Occupanc
     let centre = |i: usize| RESOLUTION * (i as f64 + 0.5);
     let cell = |i: usize| if is_free(centre(i % columns), centre(i / columns)) { Cell::Free } else { Cell::Occupied };
     OccupancyGrid::new(columns, RESOLUTION, Pose2::IDENTITY, (0..columns * rows).map(cell).collect()).unwrap()
-}
-
-fn json(arguments: &[&str]) -> Value {
-    let output = Command::new(env!("CARGO_BIN_EXE_anytime")).args(arguments).output().unwrap();
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
 }
 
 /// A laser like an old SICK's, with this maximum range, m.

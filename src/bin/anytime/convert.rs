@@ -10,7 +10,7 @@ use anytime_scan_matcher::knobs::KnobValue;
 use clap::Args;
 use serde_json::{Value, json};
 
-use crate::input_flags::Files;
+use crate::files::Files;
 
 /// Convert a CARMEN log to a bag
 #[derive(Args)]

@@ -1,10 +1,7 @@
 //! `anytime drive`.
 
-use std::env;
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use anytime_scan_matcher::control::follower::FollowerKnobs;
 use anytime_scan_matcher::control::laws::Law;
 use anytime_scan_matcher::control::policy::Policy;
@@ -19,11 +16,11 @@ use anytime_scan_matcher::simulation::odometer::OdometerKnobs;
 use clap::Args;
 
 use crate::configuration::Configuration;
-use crate::input_flags::Files;
+use crate::files::{Files, create_folder};
 use crate::knob_flags::{help, set, value};
 use crate::outcome::usage;
-use crate::progress;
 use crate::simulation_flags::check_world;
+use crate::{progress, terminal};
 
 /// Drive a simulated racecar closed-loop on its own pose estimates: simulator, estimator and path follower in one process, on a
 /// simulated clock
@@ -136,10 +133,10 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         policies: arguments.policy.clone(),
         speeds: arguments.speed.clone(),
         loads: loads.collect(),
-        command: command(),
+        command: terminal::command_line(),
     };
     if let Some(out) = &arguments.out {
-        fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
+        create_folder(out)?;
     }
     let progress = progress::bar(study.runs())?;
     let outcomes = study.conduct(|| progress.inc(1))?;
@@ -195,10 +192,4 @@ fn check_files(arguments: &Arguments) -> anyhow::Result<()> {
         .read("--config", arguments.configuration.file());
     let files = written.iter().flatten().fold(files, |files, path| files.written("a file of --out", Some(path)));
     files.check()
-}
-
-/// The command line, without the directory of the program.
-fn command() -> String {
-    let words = env::args().skip(1).map(|word| if word.contains(' ') { format!("'{word}'") } else { word });
-    ["anytime".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
 }

@@ -10,7 +10,7 @@ use anytime_scan_matcher::io::bag::Bag;
 use anytime_scan_matcher::io::{map_file, relations, simulated_bag, tum};
 use clap::Args;
 
-use crate::input_flags::{Files, svg_path};
+use crate::files::{Files, svg_path};
 use crate::outcome::output_or_failure;
 use crate::terminal;
 

@@ -21,7 +21,8 @@ use anytime_scan_matcher::replay::row::BeliefRow;
 use anytime_scan_matcher::replay::truth;
 use clap::Args;
 
-use crate::input_flags::{Files, InputFlags};
+use crate::files::{Files, create};
+use crate::input_flags::InputFlags;
 use crate::knob_flags::value;
 use crate::outcome::{output_or_failure, usage};
 use crate::progress;
@@ -184,8 +185,4 @@ fn files<'a>(arguments: &'a Arguments, config: &'a Config) -> Files<'a> {
         .read_map("--map", arguments.map.as_deref())
         .written("--tum", arguments.tum.as_deref())
         .written("--csv", arguments.csv.as_deref())
-}
-
-fn create(path: &Path) -> anyhow::Result<OutputFile> {
-    OutputFile::create(path).with_context(|| format!("cannot create {}", path.display()))
 }

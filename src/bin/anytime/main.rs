@@ -5,6 +5,7 @@ mod configuration;
 mod convert;
 mod drive;
 mod evaluate;
+mod files;
 mod info;
 mod input_flags;
 mod knob_flags;

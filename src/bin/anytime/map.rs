@@ -26,7 +26,8 @@ use anytime_scan_matcher::replay::{Source, replay, survey};
 use anytime_scan_matcher::scan::Sectors;
 use clap::{Args, ValueEnum};
 
-use crate::input_flags::{Files, InputFlags};
+use crate::files::{Files, create};
+use crate::input_flags::InputFlags;
 use crate::progress;
 
 /// Build a map from the scans of bags
@@ -219,7 +220,6 @@ struct OutputFiles {
 
 impl OutputFiles {
     fn create(outputs: &Outputs, tum: Option<&Path>) -> anyhow::Result<Self> {
-        let create = |path: &Path| OutputFile::create(path).with_context(|| format!("cannot create {}", path.display()));
         Ok(Self {
             map: MapFiles::create(outputs.map.clone())?,
             picture: create(&outputs.picture)?,

@@ -1,10 +1,7 @@
 //! `anytime profile`.
 
-use std::env;
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::io::bag::{Bag, Compression};
 use anytime_scan_matcher::io::{map_file, simulated_bag};
@@ -16,7 +13,7 @@ use anytime_scan_matcher::profile::study::{Names, Study};
 use anytime_scan_matcher::replay::truth;
 use serde_json::json;
 
-use crate::input_flags::Files;
+use crate::files::{Files, create_folder};
 use crate::outcome::usage;
 use crate::profile_flags::Arguments;
 use crate::{progress, simulate, terminal};
@@ -28,7 +25,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     check_files(arguments, &config)?;
     let map = arguments.map.as_deref().map(map_file::read).transpose()?;
     let plan = Plan::new(&config, &arguments.variants()?, &arguments.sweeps()?, arguments.rounds, arguments.seed)?;
-    fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
+    create_folder(out)?;
     let path = bag_path(arguments)?;
     let bag = Bag::open(&path)?;
     let topics = input.topics(&bag, &config)?;
@@ -41,7 +38,12 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         plan: &plan,
         deltas: &arguments.delta,
         new_clock: &new_clock,
-        names: Names { bag: path.display().to_string(), truth: truth_name, clock: input.clock.name().into(), command: command() },
+        names: Names {
+            bag: path.display().to_string(),
+            truth: truth_name,
+            clock: input.clock.name().into(),
+            command: terminal::command_line(),
+        },
     };
     let progress = progress::bar(bag.message_count(Some(&topics.all())) * study.runs() as u64)?;
     progress.println(format!("{} cases in {} rounds: {} runs", plan.cases.len(), plan.rounds, study.runs()));
@@ -116,10 +118,4 @@ fn truth_name(arguments: &Arguments, bag: &Bag) -> anyhow::Result<String> {
             )))
         }
     }
-}
-
-/// The command line, without the directory of the program.
-fn command() -> String {
-    let words = env::args().skip(1).map(|word| if word.contains(' ') { format!("'{word}'") } else { word });
-    ["anytime".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
 }

@@ -15,7 +15,7 @@ use anytime_scan_matcher::replay::recorder::{OutputFiles, RecordError, Recorder}
 use anytime_scan_matcher::replay::summary::Ending;
 use anytime_scan_matcher::replay::{Source, replay, truth};
 
-use crate::input_flags::Files;
+use crate::files::Files;
 use crate::outcome::output_or_failure;
 use crate::replay_flags::Arguments;
 use crate::{progress, terminal};

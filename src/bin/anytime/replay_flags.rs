@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use anytime_scan_matcher::knobs::Value;
 use clap::Args;
 
-use crate::input_flags::{InputFlags, svg_path};
+use crate::files::svg_path;
+use crate::input_flags::InputFlags;
 use crate::knob_flags::value;
 
 /// Match every scan of a bag, with the same code as the node

@@ -8,14 +8,13 @@ use anytime_scan_matcher::io::bag::{BagWriter, Compression};
 use anytime_scan_matcher::io::tum::TumWriter;
 use anytime_scan_matcher::io::{map_file, simulated_bag};
 use anytime_scan_matcher::knobs::KnobValue;
-use anytime_scan_matcher::output::OutputFile;
 use anytime_scan_matcher::simulation::built_in::BuiltIn;
 use anytime_scan_matcher::simulation::drive::{DriveKnobs, Settings};
 use anytime_scan_matcher::simulation::scene::Scene;
 use clap::Args;
 use serde_json::json;
 
-use crate::input_flags::Files;
+use crate::files::{Files, create};
 use crate::knob_flags::help;
 use crate::simulation_flags::{SimulationFlags, check_world};
 
@@ -63,7 +62,6 @@ pub(crate) fn drive(
     truth: Option<&Path>,
 ) -> anyhow::Result<u64> {
     let scene = scene(world, settings.drive.seed)?;
-    let create = |path: &Path| OutputFile::create(path).with_context(|| format!("cannot create {}", path.display()));
     let mut file = truth.map(create).transpose()?;
     let bag = BagWriter::create_whole(out, compression)?;
     // The true poses are few: one line per scan.

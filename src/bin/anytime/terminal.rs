@@ -1,4 +1,4 @@
-//! The width of the terminal, and text wrapping.
+//! The command line, the width of the terminal, and text wrapping.
 
 use std::env;
 use std::io::{self, IsTerminal};
@@ -8,6 +8,12 @@ use terminal_size::{Width, terminal_size_of};
 
 /// Minimum width for wrapping; narrower terminals are ignored.
 const MIN_WIDTH: usize = 20;
+
+/// The command line, without the directory of the program.
+pub(crate) fn command_line() -> String {
+    let words = env::args().skip(1).map(|word| if word.contains(' ') { format!("'{word}'") } else { word });
+    ["anytime".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
+}
 
 /// Columns of the terminal of standard output, else the value of `COLUMNS`. `None`: a file or a pipe, which needs no wrapping.
 pub(crate) fn width() -> Option<usize> {

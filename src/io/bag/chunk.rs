@@ -16,8 +16,18 @@ use super::record::{Fields, op, split_block};
 /// larger message makes a larger chunk.
 const MAX_CHUNK_BYTES: u64 = 512 << 20;
 
-/// Position of a chunk in the file, and a summary of its messages.
+/// A chunk of the file, and a summary of its messages.
 pub(super) struct Chunk {
+    pub(super) location: ChunkLocation,
+    /// Summary of its messages: from the bag's index, or from reading the chunk.
+    pub(super) index: ChunkIndex,
+    /// One of its index records could not be read, so that the chunk itself must be read to know its messages.
+    pub(super) has_bad_index: bool,
+}
+
+/// Where a chunk is in the file, and what is needed to decompress it.
+#[derive(Clone, Copy)]
+pub(super) struct ChunkLocation {
     /// Start of its record, bytes from the start of the file.
     pub(super) offset: u64,
     /// Start of its compressed data, bytes from the start of the file.
@@ -29,10 +39,6 @@ pub(super) struct Chunk {
     pub(super) compression: Compression,
     /// The file ends before the chunk does.
     pub(super) is_truncated: bool,
-    /// Summary of its messages: from the bag's index, or from reading the chunk.
-    pub(super) index: ChunkIndex,
-    /// One of its index records could not be read, so that the chunk itself must be read to know its messages.
-    pub(super) has_bad_index: bool,
 }
 
 /// Summary of the messages of a chunk.
@@ -52,6 +58,7 @@ impl ChunkIndex {
 }
 
 /// A decompressed chunk.
+#[derive(Default)]
 pub(super) struct Content {
     pub(super) bytes: Vec<u8>,
     /// Its messages in file order.
@@ -79,7 +86,7 @@ impl Content {
 
     /// Parses records up to the first invalid one.
     fn parse(bytes: Vec<u8>) -> (Self, Result<(), ParseError>) {
-        let mut content = Self { bytes: Vec::new(), messages: Vec::new(), connections: Vec::new(), problem: None };
+        let mut content = Self::default();
         let mut at = 0;
         let outcome = loop {
             if at == bytes.len() {
@@ -120,20 +127,19 @@ struct ParseError {
     reason: String,
 }
 
-impl Chunk {
+impl ChunkLocation {
     /// Reads the compressed bytes of the chunk. Returns `Err` only for errors of the file system.
-    pub(super) fn read(&self, file: &mut File) -> io::Result<PackedChunk> {
-        let &Self { offset, packed, size, compression, is_truncated, .. } = self;
+    pub(super) fn read(self, file: &mut File) -> io::Result<PackedChunk> {
         let mut bytes = Vec::new();
         if !self.is_too_large() {
             file.seek(SeekFrom::Start(self.data_offset))?;
-            file.take(packed).read_to_end(&mut bytes)?;
+            file.take(self.packed).read_to_end(&mut bytes)?;
         }
-        Ok(PackedChunk { bytes, offset, packed, size, compression, is_truncated, is_too_large: self.is_too_large() })
+        Ok(PackedChunk { bytes, location: self })
     }
 
     /// Maximum memory that decompressing the chunk takes, bytes.
-    pub(super) fn memory_bytes(&self) -> u64 {
+    pub(super) fn memory_bytes(self) -> u64 {
         match self {
             _ if self.is_too_large() => 0,
             Self { is_truncated: true, .. } => MAX_CHUNK_BYTES,
@@ -141,27 +147,14 @@ impl Chunk {
         }
     }
 
-    fn is_too_large(&self) -> bool {
+    /// Whether the chunk exceeds [`MAX_CHUNK_BYTES`], so that its bytes are not read.
+    fn is_too_large(self) -> bool {
         self.packed.max(self.size) > MAX_CHUNK_BYTES
     }
-}
 
-/// The compressed bytes of a chunk, with all that is needed to decompress them on any thread.
-pub(super) struct PackedChunk {
-    bytes: Vec<u8>,
-    offset: u64,
-    packed: u64,
-    size: u64,
-    compression: Compression,
-    is_truncated: bool,
-    /// The chunk exceeds [`MAX_CHUNK_BYTES`], so its bytes were not read.
-    is_too_large: bool,
-}
-
-impl PackedChunk {
-    /// Decompresses and parses the chunk. Damage is reported in [`Content::problem`].
-    pub(super) fn unpack(mut self) -> Content {
-        if self.is_too_large {
+    /// Decompresses and parses these bytes of the chunk.
+    fn unpack(self, bytes: Vec<u8>) -> Content {
+        if self.is_too_large() {
             let what = format!(
                 "a chunk is too large: {} bytes, {} decompressed; the maximum is {MAX_CHUNK_BYTES}",
                 self.packed, self.size
@@ -170,7 +163,7 @@ impl PackedChunk {
         }
         // The header of a chunk that the recorder did not finish does not state its size.
         let limit = if self.is_truncated { MAX_CHUNK_BYTES } else { self.size };
-        let (bytes, unpacked) = self.compression.unpack(std::mem::take(&mut self.bytes), limit);
+        let (bytes, unpacked) = self.compression.unpack(bytes, limit);
         match unpacked {
             // Without the checksum at the end, none of the bytes can be trusted.
             Err(error) if !self.is_truncated => {
@@ -180,7 +173,7 @@ impl PackedChunk {
         }
     }
 
-    fn parse(&self, bytes: Vec<u8>) -> Content {
+    fn parse(self, bytes: Vec<u8>) -> Content {
         let len = bytes.len();
         let (mut content, outcome) = Content::parse(bytes);
         content.problem = match outcome {
@@ -208,12 +201,25 @@ impl PackedChunk {
     }
 
     /// Bytes lost of a truncated chunk: all compressed bytes if nothing could be decompressed.
-    fn bytes_lost(&self, len: usize, used: usize) -> u64 {
+    fn bytes_lost(self, len: usize, used: usize) -> u64 {
         if len == 0 { self.packed } else { (len - used) as u64 }
     }
 
-    fn unusable(&self, what: String, remedy: &'static str) -> Content {
+    fn unusable(self, what: String, remedy: &'static str) -> Content {
         let problem = BagProblem { offset: self.offset, what, bytes_lost: self.packed, remedy };
-        Content { bytes: Vec::new(), messages: Vec::new(), connections: Vec::new(), problem: Some(problem) }
+        Content { problem: Some(problem), ..Content::default() }
+    }
+}
+
+/// The compressed bytes of a chunk, which can be decompressed on any thread.
+pub(super) struct PackedChunk {
+    bytes: Vec<u8>,
+    location: ChunkLocation,
+}
+
+impl PackedChunk {
+    /// Decompresses and parses the chunk. Damage is reported in [`Content::problem`].
+    pub(super) fn unpack(self) -> Content {
+        self.location.unpack(self.bytes)
     }
 }

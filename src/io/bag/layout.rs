@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
-use super::chunk::{Chunk, ChunkIndex};
+use super::chunk::{Chunk, ChunkIndex, ChunkLocation};
 use super::compression::Compression;
 use super::connection::Connection;
 use super::error::{BagProblem, COPY_AGAIN, REINDEX};
@@ -194,16 +194,9 @@ impl Pass<'_> {
         let packed = if unfinished { remaining } else { data_len.min(remaining) };
         let name = fields.bytes("compression")?;
         if let Some(compression) = Compression::from_name(name) {
-            self.layout.chunks.push(Chunk {
-                offset,
-                data_offset: self.position,
-                packed,
-                size,
-                compression,
-                is_truncated: unfinished || data_len > remaining,
-                index: ChunkIndex::default(),
-                has_bad_index: false,
-            });
+            let is_truncated = unfinished || data_len > remaining;
+            let location = ChunkLocation { offset, data_offset: self.position, packed, size, compression, is_truncated };
+            self.layout.chunks.push(Chunk { location, index: ChunkIndex::default(), has_bad_index: false });
         } else {
             self.problem(BagProblem {
                 offset,

@@ -36,7 +36,7 @@ impl BagMessage<'_> {
             path: self.bag.path().to_path_buf(),
             topic: self.connection.topic.clone(),
             time: self.time,
-            chunk_offset: self.bag.chunks()[self.chunk].offset,
+            chunk_offset: self.bag.chunks()[self.chunk].location.offset,
             source,
         })
     }

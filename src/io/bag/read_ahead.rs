@@ -42,7 +42,7 @@ struct PendingChunk {
 impl<'bag> ReadAhead<'bag> {
     /// `order`: the chunks to return.
     pub(super) fn new(bag: &'bag Bag, order: VecDeque<usize>) -> Self {
-        let is_packed = |&chunk: &usize| bag.chunks()[chunk].compression != Compression::None;
+        let is_packed = |&chunk: &usize| bag.chunks()[chunk].location.compression != Compression::None;
         let worthwhile = order.iter().filter(|chunk| is_packed(chunk)).count() > 1;
         let cores = if worthwhile { thread::available_parallelism().map_or(1, NonZero::get).min(MAX_CORES) } else { 1 };
         Self::with_cores(bag, order, cores)
@@ -59,7 +59,7 @@ impl<'bag> ReadAhead<'bag> {
             return Some(self.bag.read_chunk(self.unread.pop_front()?));
         };
         while let Some(&chunk) = self.unread.front() {
-            let bytes = self.bag.chunks()[chunk].memory_bytes();
+            let bytes = self.bag.chunks()[chunk].location.memory_bytes();
             let has_room = self.pending.len() < workers.limit && self.pending_bytes + bytes <= MAX_BYTES;
             if !has_room && !self.pending.is_empty() {
                 break;
@@ -220,7 +220,8 @@ mod tests {
         for compression in [Compression::Lz4, Compression::Bz2] {
             let path = folder.path().join("a.bag");
             write(&path, compression);
-            let offsets: Vec<u64> = Bag::open(&path).unwrap().chunks().iter().map(|chunk| chunk.data_offset + 1000).collect();
+            let offsets: Vec<u64> =
+                Bag::open(&path).unwrap().chunks().iter().map(|chunk| chunk.location.data_offset + 1000).collect();
             assert!(offsets.len() > 15);
             let mut damaged = fs::read(&path).unwrap();
             for chunk in [4, 9] {
@@ -245,7 +246,7 @@ mod tests {
         let path = folder.path().join("a.bag");
         write(&path, Compression::Lz4);
         let bag = Bag::open(&path).unwrap();
-        let at = usize::try_from(bag.chunks()[1].data_offset + 1000).unwrap();
+        let at = usize::try_from(bag.chunks()[1].location.data_offset + 1000).unwrap();
         let mut bytes = fs::read(&path).unwrap();
         bytes[at..at + 10].fill(0x55);
         fs::write(&path, bytes).unwrap();

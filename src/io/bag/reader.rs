@@ -112,7 +112,7 @@ impl Bag {
     }
 
     pub(super) fn read_packed(&self, i: usize) -> Result<PackedChunk, BagError> {
-        self.chunks[i].read(&mut self.file.borrow_mut()).map_err(BagError::io(&self.path, "read"))
+        self.chunks[i].location.read(&mut self.file.borrow_mut()).map_err(BagError::io(&self.path, "read"))
     }
 
     /// Moves the problem of a chunk, if it has one, to the problems of the bag.
@@ -157,7 +157,7 @@ impl Bag {
 
     /// Number of chunks by compression.
     pub fn compressions(&self) -> Vec<(Compression, usize)> {
-        let count = |kind| self.chunks.iter().filter(|chunk| chunk.compression == kind).count();
+        let count = |kind| self.chunks.iter().filter(|chunk| chunk.location.compression == kind).count();
         Compression::ALL.iter().map(|&kind| (kind, count(kind))).filter(|(_, chunks)| *chunks > 0).collect()
     }
 

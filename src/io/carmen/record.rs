@@ -60,7 +60,7 @@ fn median_interval(log: &CarmenLog) -> f64 {
 fn scan_message(scan: &CarmenScan, no_return_range: f64, scan_time: f64) -> LaserScan {
     let (angle_min, angle_increment) = (scan.angle_min as f32, scan.angle_increment as f32);
     LaserScan {
-        header: header(scan.odometry.stamp, LASER_FRAME),
+        header: Header::new(0, scan.odometry.stamp, LASER_FRAME),
         angle_min,
         angle_max: (scan.angle_min + scan.angle_increment * scan.ranges.len().saturating_sub(1) as f64) as f32,
         angle_increment,
@@ -78,13 +78,9 @@ fn odometry_message(odometry: &CarmenOdometry) -> Odometry {
     let along = |x| Vector3 { x, ..Vector3::default() };
     let twist = Twist { linear: along(speed), angular: Vector3 { z: yaw_rate, ..Vector3::default() } };
     Odometry {
-        header: header(odometry.stamp, ODOM_FRAME),
+        header: Header::new(0, odometry.stamp, ODOM_FRAME),
         child_frame_id: BASE_FRAME.into(),
         pose: PoseWithCovariance { pose: Pose2::into(odometry.odom_from_base), ..PoseWithCovariance::default() },
         twist: TwistWithCovariance { twist, ..TwistWithCovariance::default() },
     }
-}
-
-fn header(stamp: Stamp, frame: &str) -> Header {
-    Header { stamp: stamp.into(), frame_id: frame.into(), ..Header::default() }
 }

@@ -6,6 +6,8 @@ use proptest::prelude::*;
 
 use super::rays::Block;
 use super::*;
+use crate::matching::surface::DIRECTION_SHIFT;
+use crate::matching::surfaces::view_consistency::MIN_CONFIRMED;
 use crate::matching::view::Bearings;
 use crate::scan::BeamGeometry;
 use crate::time::Stamp;
@@ -63,7 +65,7 @@ fn reference_correspondences(
             // The line in the reference frame.
             let line = rotation(reference_from_view) * normal;
             all.form.add_line(point, line, f64::from(surface.offset()) + line.dot(&reference_from_view.translation()), weight);
-            let direction_variance = f32::from_bits(surface.variance().to_bits() << 16);
+            let direction_variance = f32::from_bits(surface.variance().to_bits() << DIRECTION_SHIFT);
             let mut add = |sum: Sum, term: f64| all.totals.0[sum as usize] += term;
             add(Sum::Squares, weight * error.powi(2));
             add(Sum::Expected, weight * variance);
@@ -76,7 +78,7 @@ fn reference_correspondences(
             add(Sum::Inliers, is_inlier);
         }
         let confirmed: f64 = if pairs > 0.0 { inliers / pairs } else { 1.0 };
-        all.weights.push(if views.len() > 1 { confirmed.max(0.02).sqrt() } else { 1.0 });
+        all.weights.push(if views.len() > 1 { confirmed.max(f64::from(MIN_CONFIRMED)).sqrt() } else { 1.0 });
     }
     let views_per_ray = (all.totals.of(Sum::Correspondences) / sensed.len() as f64).max(1.0);
     all.form = all.form.scaled(1.0 / views_per_ray);

@@ -7,7 +7,7 @@ use super::rays::Lanes;
 use crate::matching::surface::LANES;
 
 /// Minimum fraction of the views that is taken to confirm a ray: one that lies on no surface yet may still converge to one.
-const MIN_CONFIRMED: f32 = 0.02;
+pub(super) const MIN_CONFIRMED: f32 = 0.02;
 
 /// Consistency of the rays of a block with the views.
 #[derive(Clone, Copy, Debug)]

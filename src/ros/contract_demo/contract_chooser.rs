@@ -105,6 +105,7 @@ impl ContractChooser {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::knobs::KnobGroup as _;
 
     fn chooser(name: Option<&str>) -> ContractChooser {
         let knobs =
@@ -120,6 +121,16 @@ mod tests {
         assert_eq!(contract.translation_error_bound, Some(0.02));
         assert_eq!(at(Some("fixed:5ms"), 1.0).time_budget, Some(Duration::from_millis(5)));
         assert_eq!(at(Some("completion"), 1.0).time_budget, None);
+    }
+
+    #[test]
+    fn the_help_writes_the_policies_as_their_error_message_does() {
+        let table = ContractDemoKnobs::default().table();
+        let help = table.iter().find(|knob| knob.name == "policy").unwrap().help;
+        let error = "slowly".parse::<Policy>().unwrap_err().to_string();
+        for form in ["completion", "fixed:TIME[,METRES]", "by_speed:SLOW,FAST,SPEED", "table"] {
+            assert!(help.contains(form) && error.contains(form), "{form}: {help} {error}");
+        }
     }
 
     #[test]

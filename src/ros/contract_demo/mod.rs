@@ -30,7 +30,7 @@ crate::knobs! {
     /// Contracts to request, and what to record.
     pub struct ContractDemoKnobs {
         /// Policy that chooses the contracts, as in `anytime drive --policy`: `completion`, `fixed:TIME[,METRES]`,
-        /// `by_speed:TIME,TIME,SPEED`, `table`; unset: by speed, with the next three parameters.
+        /// `by_speed:SLOW,FAST,SPEED`, `table`; unset: by speed, with the next three parameters.
         policy: Option<String> = None;
         /// Time budget at rest.
         budget_slow: Seconds = Seconds(0.010), in 0.00001 to 60, unit "s";

@@ -1,13 +1,14 @@
 //! Exchange between the matching thread and the mapping thread. Neither waits for the other.
 
 use std::sync::mpsc::{Sender, SyncSender, TrySendError};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use crate::app::sensed::SensorMessage;
 use crate::app::{App, Estimate};
 use crate::geometry::Pose2;
 use crate::mapping::{MotionStatus, PosedScan};
 use crate::odometry::Outcome;
+use crate::parallel::lock;
 use crate::ros::diagnostics::Monitor;
 use crate::ros::services::Reply;
 use crate::scan::Scan;
@@ -53,7 +54,7 @@ impl MapFeed {
     /// at the identity.
     pub(in crate::ros) fn set_map_from_odom(&mut self, estimate: &mut Estimate) {
         self.run += u64::from(estimate.registration.outcome == Outcome::First);
-        let (run, map_from_odom) = *self.map_from_odom.lock().unwrap_or_else(PoisonError::into_inner);
+        let (run, map_from_odom) = *lock(&self.map_from_odom);
         estimate.registration.map_from_odom = if run == self.run { map_from_odom } else { Pose2::IDENTITY };
     }
 

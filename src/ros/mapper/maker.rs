@@ -1,8 +1,8 @@
 //! The mapping thread: keeps the map up to date, publishes it, and saves it.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use super::feed::{MapCommand, SharedMapFromOdom};
@@ -12,6 +12,7 @@ use crate::config::Config;
 use crate::io::map_files::{MapFiles, MapPaths};
 use crate::knobs::KnobValue as _;
 use crate::mapping::{EvidenceGrid, LiveMap, PosedScan};
+use crate::parallel::lock;
 use crate::ros::log::Log;
 use crate::ros::priority::lower_priority;
 use crate::ros::services::Reply;
@@ -122,7 +123,7 @@ impl MapMaker {
 
     /// Shares the pose of the odometry frame on the map with the matching thread.
     fn share_map_from_odom(&self) {
-        *self.map_from_odom.lock().unwrap_or_else(PoisonError::into_inner) = (self.run, self.map.map_from_odom());
+        *lock(&self.map_from_odom) = (self.run, self.map.map_from_odom());
     }
 
     /// Publishes graph and map when they are due. While the map is being redrawn, publishing waits for up to [`MAX_DELAY`].

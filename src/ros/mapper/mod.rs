@@ -27,7 +27,8 @@ use self::maker::MapMaker;
 use self::publishers::Publishers;
 use super::context::Shared;
 use super::services::{self, Service};
-use super::{NodeError, node, params};
+use super::threads::spawn;
+use super::{NodeError, params};
 use crate::config::Config;
 use crate::geometry::Pose2;
 
@@ -73,7 +74,7 @@ impl Mapping {
         ];
         let feed = MapFeed::new(commands.clone(), Arc::clone(&map_from_odom), Arc::clone(&shared.monitor));
         let (config, clock, log) = (config.clone(), Arc::clone(&shared.clock), shared.log.clone());
-        let thread = node::spawn("mapping", move || MapMaker::new(config, clock, log, publishers, map_from_odom).run(&received))?;
+        let thread = spawn("mapping", move || MapMaker::new(config, clock, log, publishers, map_from_odom).run(&received))?;
         Ok(Self { commands, thread, services, feed: Some(feed) })
     }
 

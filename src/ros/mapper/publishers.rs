@@ -1,6 +1,6 @@
 //! The publishers of the map.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use rosrust::api::Ros;
 
@@ -8,17 +8,17 @@ use super::convert;
 use crate::app::map_message;
 use crate::map::grid::OccupancyGrid;
 use crate::mapping::Mapper;
-use crate::messages::nav_msgs;
 use crate::messages::visualization_msgs::Marker;
+use crate::parallel::lock;
 use crate::ros::NodeError;
+use crate::ros::map_output::MapOutput;
 use crate::ros::output::Output;
 use crate::ros::services::LastMap;
 use crate::time::Stamp;
 
 /// The publishers of all topics of the map.
 pub(super) struct Publishers {
-    map: Output<nav_msgs::OccupancyGrid>,
-    metadata: Output<nav_msgs::MapMetaData>,
+    map: MapOutput,
     graph: Output<Marker>,
     frame: String,
     /// The latest published map, for the service.
@@ -28,8 +28,7 @@ pub(super) struct Publishers {
 impl Publishers {
     pub(super) fn new(ros: &Ros, map_frame: &str) -> Result<Self, NodeError> {
         Ok(Self {
-            map: Output::latched(ros, "map")?,
-            metadata: Output::latched(ros, "map_metadata")?,
+            map: MapOutput::new(ros)?,
             graph: Output::new(ros, "mapper/graph")?,
             frame: map_frame.into(),
             last: Arc::new(Mutex::new(None)),
@@ -45,9 +44,8 @@ impl Publishers {
     pub(super) fn publish_map(&self, grid: &OccupancyGrid, stamp: Stamp) {
         let mut message = map_message::message(grid, &self.frame);
         (message.header.stamp, message.info.map_load_time) = (stamp.into(), stamp.into());
-        self.metadata.send_always(&message.info);
-        self.map.send_always(&message);
-        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some(message);
+        self.map.send(&message);
+        *lock(&self.last) = Some(message);
     }
 
     /// Publishes the graph if it is subscribed to.

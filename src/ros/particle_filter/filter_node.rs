@@ -17,8 +17,8 @@ use crate::map::grid::OccupancyGrid;
 use crate::messages::nav_msgs;
 use crate::messages::own::Contract;
 use crate::messages::tf2_msgs::TFMessage;
-use crate::ros::context::Context;
-use crate::ros::diagnostics::{Sample, TRANSFORM_WITHHELD};
+use crate::ros::context::{Context, Shared};
+use crate::ros::diagnostics::Sample;
 use crate::ros::input::Input;
 use crate::ros::mailbox::{NextScan, Request};
 use crate::ros::priority::yield_to_writers;
@@ -45,8 +45,8 @@ pub(super) struct FilterNode {
     localizer: Option<Localizer>,
     /// Transforms that arrived before the map.
     transforms: TransformTree,
-    /// Contract that arrived before the map.
-    contract: Option<Contract>,
+    /// Contract that arrived before the map, and its sender.
+    contract: Option<(Contract, String)>,
     /// Covariance of the last pose.
     covariance: PoseCovariance,
     publishers: Publishers,
@@ -81,7 +81,7 @@ impl FilterNode {
                 node.with_map(|localizer| localizer.on_initial_pose(message, raw.arrival))
             }),
             Input::of("clicked_point", |node: &mut Self, message| node.with_map(|localizer| localizer.on_clicked_point(message))),
-            Input::of("icp_contract", Self::on_contract),
+            Input::with_context("icp_contract", Self::on_contract),
             Input::with_context("/tf", Self::on_transforms),
             Input::with_context("/tf_static", Self::on_transforms),
         ]
@@ -102,15 +102,15 @@ impl FilterNode {
         Ok(())
     }
 
-    fn on_contract(&mut self, contract: &Contract) -> Result<(), InputError> {
+    fn on_contract(&mut self, contract: &Contract, raw: &RawMessage, _: &mut Context) -> Result<(), InputError> {
         if self.localizer.is_none() {
-            self.contract = Some(contract.clone());
+            self.contract = Some((contract.clone(), raw.sender.clone()));
         }
         self.with_map(|localizer| localizer.on_contract(contract))
     }
 
     fn on_transforms(&mut self, message: &TFMessage, raw: &RawMessage, context: &mut Context) -> Result<(), InputError> {
-        self.check_conflicts(message, &raw.sender, context);
+        self.check_conflicts(message, &raw.sender, &context.shared);
         if self.localizer.is_none() {
             self.transforms.add(message);
         }
@@ -141,29 +141,25 @@ impl FilterNode {
         localizer.set_interrupt(Arc::clone(&context.shared.interrupts) as Arc<dyn Interrupt>);
         localizer.warm_up();
         localizer.set_transforms(std::mem::take(&mut self.transforms));
-        if let Some(contract) = self.contract.take() {
-            let outcome = localizer.on_contract(&contract);
-            if let Err(problem) = outcome {
-                context.reader.reject("icp_contract", "an unknown node (sent before the map)", &problem);
-            }
+        if let Some((contract, sender)) = self.contract.take()
+            && let Err(problem) = localizer.on_contract(&contract)
+        {
+            context.reader.reject("icp_contract", &sender, &problem);
         }
         self.localizer = Some(localizer);
         Ok(())
     }
 
     /// Yields to another publisher of the transform if it continues in spite of this node. A scan matcher would yield itself.
-    fn check_conflicts(&mut self, message: &TFMessage, sender: &str, context: &Context) {
+    fn check_conflicts(&mut self, message: &TFMessage, sender: &str, shared: &Shared) {
         let odom_frame = &self.config.frames.odom_frame;
         let Some(other) = ConflictingPublisher::find(message, sender, odom_frame) else { return };
-        let now = context.shared.clock.now();
+        let now = shared.clock.now();
         let is_recent = |time: Duration| now.saturating_sub(time) <= CONFLICT_TIMEOUT;
         let since = self.other.filter(|(_, last)| is_recent(*last)).map_or(now, |(since, _)| since);
         self.other = Some((since, now));
-        if !is_recent(since)
-            && let Some(warning) = self.publishers.transform().yield_to(&other, odom_frame)
-        {
-            context.shared.log.warn(&warning);
-            context.shared.monitor.set_condition(TRANSFORM_WITHHELD, true);
+        if !is_recent(since) {
+            self.publishers.transform().yield_to(&other, odom_frame, shared);
         }
     }
 

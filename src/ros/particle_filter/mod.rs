@@ -16,9 +16,9 @@ use std::path::Path;
 use rosrust::api::{Master, Ros};
 
 use self::filter_node::FilterNode;
-use self::map_server::MapServer;
 use self::publishers::Publishers;
 use super::diagnostics::TaskWording;
+use super::input::scan_topic;
 use super::log::Log;
 use super::master::resolved;
 use super::node::{self, Node, NodeParts};
@@ -52,9 +52,9 @@ fn serve(ros: &Ros, master: &Master, stop: &StopSignal) -> Result<(), NodeError>
 fn build<'a>(ros: &Ros, mut parts: NodeParts<'a>, config: &Config) -> Result<Node<'a>, NodeError> {
     let log = &parts.shared.log;
     let map = read_map_file(config, log);
-    let map_server = map.as_ref().map(|map| MapServer::new(ros, config, log, map)).transpose()?.flatten();
-    let (map_server, static_map) = map_server.unzip();
-    let publishers = Publishers::new(ros, &config.frames, map_server)?;
+    let served = map.as_ref().map(|map| map_server::serve(ros, config, log, map)).transpose()?.flatten();
+    let (map_output, static_map) = served.unzip();
+    let publishers = Publishers::new(ros, &config.frames, map_output)?;
     parts.diagnose(TASK)?;
     parts.services = [services::reset(ros, GLOBAL, &parts.shared.mailbox)?].into_iter().chain(static_map).collect();
     let timer = config.localization.timer(parts.shared.clock.now());
@@ -72,15 +72,14 @@ fn read_map_file(config: &Config, log: &Log) -> Option<OccupancyGrid> {
 /// Logs that the node is ready, with its topics, frames and contract.
 fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
     let contract = Contract::try_from(&config.contract)?;
-    let [scan, odometry, pose] =
-        [if config.cloud.input { "cloud" } else { "scan" }, "odom", publishers::POSE].map(|topic| resolved(ros, topic));
+    let topic = |name| resolved(ros, name);
     let (frames, knobs) = (&config.frames, &config.localization);
     let period = knobs.update_period.0;
     log.info(&format!(
         "localizing with {} and {}; poses on {} ({} -> {}{}); {} particles, {}; contract: {}",
-        scan?,
-        odometry?,
-        pose?,
+        topic(scan_topic(config.cloud.input))?,
+        topic("odom")?,
+        topic(publishers::POSE)?,
         frames.map_frame,
         frames.base_frame,
         if frames.publish_tf { format!(", also {} -> {} on /tf", frames.map_frame, frames.odom_frame) } else { String::new() },

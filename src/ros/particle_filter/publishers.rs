@@ -3,7 +3,6 @@
 use rosrust::api::Ros;
 
 use super::convert::{LocalizedPose, fake_scan, header, particles};
-use super::map_server::MapServer;
 use crate::app::localizer::{Fix, Localizer};
 use crate::app::sensed::SensorMessage;
 use crate::config::FrameKnobs;
@@ -13,6 +12,7 @@ use crate::messages::nav_msgs::Odometry;
 use crate::messages::own::FilterReport;
 use crate::messages::sensor_msgs::LaserScan;
 use crate::ros::NodeError;
+use crate::ros::map_output::MapOutput;
 use crate::ros::output::Output;
 use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
@@ -29,12 +29,12 @@ pub(super) struct Publishers {
     fake_scan: Output<LaserScan>,
     transform: TransformOutput,
     /// Publishes the map if it came from a file.
-    _map: Option<MapServer>,
+    _map: Option<MapOutput>,
     last_pose: Option<Stamp>,
 }
 
 impl Publishers {
-    pub(super) fn new(ros: &Ros, frames: &FrameKnobs, map: Option<MapServer>) -> Result<Self, NodeError> {
+    pub(super) fn new(ros: &Ros, frames: &FrameKnobs, map: Option<MapOutput>) -> Result<Self, NodeError> {
         let transform = TransformOutput::default();
         transform.switch(ros, &frames.odom_frame, frames.publish_tf)?;
         Ok(Self {

@@ -12,10 +12,8 @@ use crate::config::FrameKnobs;
 use crate::messages::geometry_msgs::TwistStamped;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::Outcome;
-use crate::ros::context::Context;
-use crate::ros::diagnostics::{
-    IMU_REJECTED, ODOMETRY_CONTRADICTED, ODOMETRY_REJECTED, OUTSIDE_PROFILE, Sample, TRANSFORM_WITHHELD,
-};
+use crate::ros::context::{Context, Shared};
+use crate::ros::diagnostics::{IMU_REJECTED, ODOMETRY_CONTRADICTED, ODOMETRY_REJECTED, OUTSIDE_PROFILE, Sample};
 use crate::ros::input::Input;
 use crate::ros::live_params::MatchingChange;
 use crate::ros::mailbox::{NextScan, Request};
@@ -68,7 +66,7 @@ impl MatcherNode {
 
     fn on_transforms(&mut self, message: &TFMessage, raw: &RawMessage, context: &mut Context) -> Result<(), InputError> {
         let outcome = self.app.on_transforms(message);
-        self.check_conflicts(message, &raw.sender, context);
+        self.check_conflicts(message, &raw.sender, &context.shared);
         outcome
     }
 
@@ -90,26 +88,19 @@ impl MatcherNode {
         }
     }
 
-    /// Looks for other publishers of this node's transforms.
-    fn check_conflicts(&self, message: &TFMessage, sender: &str, context: &Context) {
+    /// Yields to other publishers of this node's transforms.
+    fn check_conflicts(&self, message: &TFMessage, sender: &str, shared: &Shared) {
         let FrameKnobs { odom_frame, base_frame, .. } = &self.app.config().frames;
+        let transform = self.publishers.transform();
         for child in [base_frame, odom_frame] {
             if let Some(other) = ConflictingPublisher::find(message, sender, child) {
-                self.withhold(&other, child, context);
+                transform.yield_to(&other, child, shared);
             }
         }
         // Another node publishes odometry in our frame, by a chain of transforms to the base. Then this node must not publish
         // that frame.
         if self.app.transforms().is_ancestor(odom_frame, base_frame) {
-            self.withhold(&ConflictingPublisher::new(sender, odom_frame, base_frame), odom_frame, context);
-        }
-    }
-
-    /// Stops publishing the transform to `child`.
-    fn withhold(&self, other: &ConflictingPublisher, child: &str, context: &Context) {
-        if let Some(warning) = self.publishers.transform().yield_to(other, child) {
-            context.shared.log.warn(&warning);
-            context.shared.monitor.set_condition(TRANSFORM_WITHHELD, true);
+            transform.yield_to(&ConflictingPublisher::new(sender, odom_frame, base_frame), odom_frame, shared);
         }
     }
 

@@ -20,6 +20,7 @@ use self::matcher::MatcherNode;
 use self::publishers::Publishers;
 use super::context::Shared;
 use super::diagnostics::TaskWording;
+use super::input::scan_topic;
 use super::interrupts::Interrupts;
 use super::live_params::{Change, ParameterWatch};
 use super::log::Log;
@@ -162,14 +163,13 @@ impl Changes<'_> {
 /// Logs that the node is ready, with its topics, frames and contract.
 fn announce(ros: &Ros, log: &Log, config: &Config) -> Result<(), NodeError> {
     let contract = Contract::try_from(&config.contract)?;
-    let [scan, odometry, pose] =
-        [if config.cloud.input { "cloud" } else { "scan" }, "odom", "scan_match_location"].map(|topic| resolved(ros, topic));
+    let topic = |name| resolved(ros, name);
     let frames = &config.frames;
     log.info(&format!(
         "matching {} with {}; poses on {} ({} -> {}; {}); contract: {}; method: {} + {}",
-        scan?,
-        odometry?,
-        pose?,
+        topic(scan_topic(config.cloud.input))?,
+        topic("odom")?,
+        topic(publishers::POSE)?,
         frames.map_frame,
         frames.base_frame,
         transforms(frames),

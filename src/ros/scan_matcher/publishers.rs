@@ -19,6 +19,9 @@ use crate::ros::output::Output;
 use crate::ros::transform_output::TransformOutput;
 use crate::time::Stamp;
 
+/// Topic of the pose.
+pub(super) const POSE: &str = "scan_match_location";
+
 /// The publishers of all topics that an answer is published on.
 pub(super) struct Publishers {
     pose: Output<PoseStamped>,
@@ -39,7 +42,7 @@ impl Publishers {
     /// `transform` is shared with the main thread, which can switch transforms on and off.
     pub(super) fn new(ros: &Ros, transform: Arc<TransformOutput>, interface: &NodeInterface) -> Result<Self, NodeError> {
         Ok(Self {
-            pose: Output::urgent(ros, "scan_match_location")?,
+            pose: Output::urgent(ros, POSE)?,
             state: Output::urgent(ros, "icp_state")?,
             odometry: Output::new(ros, "icp/odom")?,
             report: Output::new(ros, "icp_report")?,

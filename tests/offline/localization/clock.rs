@@ -13,9 +13,8 @@ use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::messages::sensor_msgs::LaserScan;
 use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
-use anytime_scan_matcher::time::Stamp;
 
-use super::{at_truth, process};
+use super::{Truth, at_truth, feed, process, shifted};
 use crate::common::corridor;
 
 /// The maximum position error in the second half of the time after the clock was set by `step` seconds, m, and the number of scans that were
@@ -27,29 +26,14 @@ fn driven_on(step: f64, with_odometry: bool) -> (f64, usize) {
     let mut config = Config::default();
     config.localization.particles = 1000;
     let mut localizer = Localizer::new(corridor(), &config, Arc::new(VirtualClock::new(Duration::ZERO))).unwrap();
-    let (mut truth, mut begin, mut worst, mut skipped) = (Pose2::IDENTITY, None, 0.0_f64, 0);
+    let (mut truth, mut begin, mut worst, mut skipped) = (Truth::default(), None, 0.0_f64, 0);
     let mut held = None::<(LaserScan, Pose2)>;
     simulate::<Infallible>(&settings, &Scene::in_map(corridor(), 4).unwrap(), |time, message| {
         let seconds = time.seconds_since(*begin.get_or_insert(time));
-        let is_set = seconds > 8.0;
-        let set = |stamp: Stamp| if is_set { stamp.offset_by(step) } else { stamp };
-        match message {
-            SimulatedMessage::Mount(mount) => localizer.on_transforms(&mount).unwrap(),
-            SimulatedMessage::Odometry(_) if !with_odometry => {}
-            SimulatedMessage::Odometry(mut odometry) => {
-                odometry.header.stamp = set(odometry.header.stamp.into()).into();
-                localizer.on_odometry(&odometry).unwrap();
-            }
-            SimulatedMessage::Truth { map_from_base, .. } => {
-                if truth == Pose2::IDENTITY {
-                    at_truth(&mut localizer, map_from_base);
-                }
-                truth = map_from_base;
-            }
-            SimulatedMessage::Scan(mut scan) => {
-                scan.header.stamp = set(scan.header.stamp.into()).into();
-                held = Some((scan, truth));
-            }
+        if with_odometry || !matches!(message, SimulatedMessage::Odometry(_)) {
+            let message = if seconds > 8.0 { shifted(message, step) } else { message };
+            let scan = feed(&mut localizer, message, &mut truth, at_truth);
+            held = scan.map(|scan| (scan, truth.latest())).or(held.take());
         }
         // As in the node, a scan waits until its odometry has arrived.
         let is_due = |localizer: &Localizer, scan: &LaserScan| localizer.wait_for_odometry(scan.header.stamp.into()).is_none();

@@ -1,27 +1,16 @@
 //! `anytime localize`: its output for good and bad maps.
 
-use std::path::Path;
-use std::process::{Command, Output};
-
 use serde_json::Value;
 
+use crate::common::program::{anytime, json};
 use crate::common::shared;
-
-const FOLDER: &str = env!("CARGO_MANIFEST_DIR");
-
-fn localize(bag: &Path, map: &Path, more: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_anytime"));
-    command.current_dir(FOLDER).arg("localize").arg(bag).arg("--map").arg(map).args(more);
-    command.output().unwrap()
-}
 
 /// The summary for a case in the shipped corridor.
 fn in_the_corridor(case: &str) -> Option<Value> {
     let bag = shared(&format!("cases/{case}.bag"))?;
     let truth = bag.with_file_name("truth").join("b270.tum");
-    let output = localize(&bag, Path::new("maps/corridor.yaml"), &["--json", "--truth", truth.to_str().unwrap()]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    Some(serde_json::from_slice(&output.stdout).unwrap())
+    let [bag, truth] = [&bag, &truth].map(|path| path.to_str().unwrap());
+    Some(json(&["localize", bag, "--map", "maps/corridor.yaml", "--json", "--truth", truth]))
 }
 
 #[test]
@@ -40,9 +29,8 @@ fn before_the_first_usable_scan_the_robot_moves_by_odometry() {
 /// Along a corridor whose walls do not constrain the motion; it is measured by matching with the scans before.
 #[test]
 fn the_robot_is_tracked_by_scans_alone() {
-    let more = ["--json", "--scan-only", "--truth", "bags/demo.tum"];
-    let output = localize(Path::new("bags/demo.bag"), Path::new("maps/corridor.yaml"), &more);
-    let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let demo = ["localize", "bags/demo.bag", "--map", "maps/corridor.yaml", "--truth", "bags/demo.tum"];
+    let summary = json(&[&demo[..], &["--json", "--scan-only"]].concat());
     assert!(summary["localized"] == 400 && summary["position_rmse_m"].as_f64().unwrap() <= 0.05, "{summary}");
     assert!(summary["problems"].to_string().contains("matching them to earlier scans"), "{summary}");
 }
@@ -52,8 +40,9 @@ fn a_map_of_another_place_is_reported_with_exit_code_1() {
     let Some(map) = shared("data/maps/skirk.yaml") else { return };
     let files = tempfile::tempdir().unwrap();
     let csv = files.path().join("scans.csv");
-    let few = ["--particles", "1000", "--set", "localization.global_particles=20000", "--truth", "bags/demo.tum"];
-    let output = localize(Path::new("bags/demo.bag"), &map, &[&few[..], &["--json", "--csv", csv.to_str().unwrap()]].concat());
+    let demo = ["localize", "bags/demo.bag", "--map", map.to_str().unwrap(), "--truth", "bags/demo.tum"];
+    let few = ["--particles", "1000", "--set", "localization.global_particles=20000"];
+    let output = anytime(&[&demo[..], &few, &["--json", "--csv", csv.to_str().unwrap()]].concat());
     assert_eq!(output.status.code(), Some(1));
     let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(summary["outcome"] == "not_localized" && summary["mean_explained"].as_f64().unwrap() < 0.5, "{summary}");

@@ -12,10 +12,10 @@ use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::geometry::Pose2;
 use anytime_scan_matcher::knobs::Seconds;
 use anytime_scan_matcher::matching::StopReason;
-use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
+use anytime_scan_matcher::simulation::drive::{Settings, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
 
-use super::at_truth;
+use super::{Truth, at_truth, feed};
 use crate::common::corridor;
 
 /// A short drive with a configuration: every answer with its error, and the number of late answers.
@@ -29,24 +29,15 @@ fn drive(assignments: &[&str]) -> (Vec<(Fix, Pose2)>, u64) {
     localizer.warm_up();
     let mut settings = Settings::default();
     settings.drive.duration = Seconds(4.0);
-    let (mut answers, mut truth) = (Vec::new(), None);
+    let (mut answers, mut truth) = (Vec::new(), Truth::default());
     simulate::<Infallible>(&settings, &Scene::in_map(corridor(), 4).unwrap(), |_, message| {
-        match message {
-            SimulatedMessage::Mount(mount) => localizer.on_transforms(&mount).unwrap(),
-            SimulatedMessage::Odometry(odometry) => localizer.on_odometry(&odometry).unwrap(),
-            SimulatedMessage::Truth { map_from_base, .. } => {
-                if truth.replace(map_from_base).is_none() {
-                    at_truth(&mut localizer, map_from_base);
-                }
-            }
-            SimulatedMessage::Scan(scan) => {
-                let arrival = clock.now();
-                let mut fix = localizer.on_scan(&scan, arrival, &NeverInterrupt);
-                localizer.conclude(&mut fix);
-                localizer.maintain(&NeverInterrupt);
-                let error = truth.unwrap_or_default().between(&fix.belief.as_ref().unwrap().map_from_base);
-                answers.push((fix, error));
-            }
+        if let Some(scan) = feed(&mut localizer, message, &mut truth, at_truth) {
+            let arrival = clock.now();
+            let mut fix = localizer.on_scan(&scan, arrival, &NeverInterrupt);
+            localizer.conclude(&mut fix);
+            localizer.maintain(&NeverInterrupt);
+            let error = truth.latest().between(&fix.belief.as_ref().unwrap().map_from_base);
+            answers.push((fix, error));
         }
         Ok(())
     })

@@ -15,7 +15,7 @@ use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simula
 use anytime_scan_matcher::simulation::scene::Scene;
 use anytime_scan_matcher::time::Stamp;
 
-use super::{at_truth, process};
+use super::{Truth, at_truth, feed, process, shifted};
 use crate::common::corridor;
 
 /// The messages of a drive in order, if odometry is stamped and arrives `late` seconds late.
@@ -24,13 +24,9 @@ fn messages(late: f64) -> Vec<SimulatedMessage> {
     settings.drive.duration = Seconds(40.0);
     settings.lidar.rate = 20.0;
     let mut messages: Vec<(Stamp, SimulatedMessage)> = Vec::new();
-    simulate::<Infallible>(&settings, &Scene::in_map(corridor(), 4).unwrap(), |time, mut message| {
-        let mut time = time;
-        if let SimulatedMessage::Odometry(odometry) = &mut message {
-            odometry.header.stamp = Stamp::from(odometry.header.stamp).offset_by(late).into();
-            time = time.offset_by(late);
-        }
-        messages.push((time, message));
+    simulate::<Infallible>(&settings, &Scene::in_map(corridor(), 4).unwrap(), |time, message| {
+        let shift = if matches!(message, SimulatedMessage::Odometry(_)) { late } else { 0.0 };
+        messages.push((time.offset_by(shift), shifted(message, shift)));
         Ok(())
     })
     .unwrap();
@@ -44,7 +40,7 @@ fn localized(late: f64) -> (f64, f64) {
     let mut config = Config::default();
     config.localization.particles = 1000;
     let mut localizer = Localizer::new(corridor(), &config, Arc::new(VirtualClock::new(Duration::ZERO))).unwrap();
-    let (mut truth, mut held, mut errors) = (Pose2::IDENTITY, None::<(LaserScan, Pose2)>, Vec::new());
+    let (mut truth, mut held, mut errors) = (Truth::default(), None::<(LaserScan, Pose2)>, Vec::new());
     for message in messages(late) {
         let is_scan = matches!(message, SimulatedMessage::Scan(_));
         let can_wait = |scan: &LaserScan, localizer: &Localizer| localizer.wait_for_odometry(scan.header.stamp.into()).is_some();
@@ -52,17 +48,8 @@ fn localized(late: f64) -> (f64, f64) {
             let error = process(&mut localizer, &scan).unwrap().map_from_base.between(&truth);
             errors.push(error.distance());
         }
-        match message {
-            SimulatedMessage::Mount(mount) => localizer.on_transforms(&mount).unwrap(),
-            SimulatedMessage::Odometry(odometry) => localizer.on_odometry(&odometry).unwrap(),
-            SimulatedMessage::Truth { map_from_base, .. } => {
-                if truth == Pose2::IDENTITY {
-                    at_truth(&mut localizer, map_from_base);
-                }
-                truth = map_from_base;
-            }
-            SimulatedMessage::Scan(scan) => held = Some((scan, truth)),
-        }
+        let scan = feed(&mut localizer, message, &mut truth, at_truth);
+        held = scan.map(|scan| (scan, truth.latest())).or(held);
     }
     let after = &errors[errors.len() / 2..];
     ((after.iter().map(|error| error * error).sum::<f64>() / after.len() as f64).sqrt(), localizer.odometry_lag())

@@ -7,7 +7,6 @@ mod lag;
 mod recovery;
 mod sweep;
 
-use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -88,7 +87,7 @@ fn is_right((error, _): &(Pose2, Belief)) -> bool {
 }
 
 /// Runs drives one after the other, between which the robot is kidnapped; `prepare` is called before the first scan.
-fn run(map: &OccupancyGrid, drives: &[Drive], config: &Config, prepare: impl FnOnce(&mut Localizer, Pose2)) -> Outcome {
+fn run(map: &OccupancyGrid, drives: &[Drive], config: &Config, prepare: impl Fn(&mut Localizer, Pose2)) -> Outcome {
     run_in(map, map, drives, config, prepare)
 }
 
@@ -98,10 +97,10 @@ fn run_in(
     map: &OccupancyGrid,
     drives: &[Drive],
     config: &Config,
-    prepare: impl FnOnce(&mut Localizer, Pose2),
+    prepare: impl Fn(&mut Localizer, Pose2),
 ) -> Outcome {
     let mut localizer = Localizer::new(map.clone(), config, clock()).unwrap();
-    let (mut prepare, mut outcome) = (Some(prepare), Outcome::default());
+    let (mut truth, mut outcome) = (Truth::default(), Outcome::default());
     for (number, drive) in drives.iter().enumerate() {
         let later = number as f64 * (drive.seconds + 1.0);
         let scene = Scene::in_map(world.clone(), drive.seed).unwrap();
@@ -109,35 +108,17 @@ fn run_in(
         settings.drive.duration = Seconds(drive.seconds);
         settings.drive.seed = drive.seed;
         settings.lidar.rate = drive.rate;
-        let (mut truth, mut last_truth) = (BTreeMap::new(), None::<Pose2>);
+        let first = truth.0.len();
         // As in the node, a scan waits until its odometry has arrived.
         let mut held: Option<LaserScan> = None;
         simulate::<Infallible>(&settings, &scene, |_, message| {
-            match message {
-                SimulatedMessage::Mount(mount) => localizer.on_transforms(&mount).unwrap(),
-                SimulatedMessage::Odometry(mut odometry) => {
-                    odometry.header.stamp = Stamp::from(odometry.header.stamp).offset_by(later).into();
-                    localizer.on_odometry(&odometry).unwrap();
-                }
-                SimulatedMessage::Truth { stamp, map_from_base } => {
-                    outcome.metres +=
-                        last_truth.replace(map_from_base).map_or(0.0, |last| last.between(&map_from_base).distance());
-                    if let Some(prepare) = prepare.take() {
-                        prepare(&mut localizer, map_from_base);
-                    }
-                    truth.insert(stamp.offset_by(later), map_from_base);
-                }
-                SimulatedMessage::Scan(mut scan) => {
-                    scan.header.stamp = Stamp::from(scan.header.stamp).offset_by(later).into();
-                    held = Some(scan);
-                }
-            }
+            held = feed(&mut localizer, shifted(message, later), &mut truth, &prepare).or(held.take());
             if let Some(scan) = held.take_if(|scan| localizer.wait_for_odometry(scan.header.stamp.into()).is_none()) {
                 let (start, rays) = (Instant::now(), localizer.filter().rays_cast());
                 let belief = process(&mut localizer, &scan).unwrap();
                 outcome.times.push(start.elapsed());
                 outcome.rays.push(localizer.filter().rays_cast() - rays);
-                let true_pose = truth[&scan.header.stamp.into()];
+                let true_pose = truth.at(scan.header.stamp.into());
                 let (x, y) = (belief.map_from_base.x - true_pose.x, belief.map_from_base.y - true_pose.y);
                 let error = Pose2::new(x, y, belief.map_from_base.theta - true_pose.theta);
                 outcome.answers.push((error, belief));
@@ -145,8 +126,57 @@ fn run_in(
             Ok(())
         })
         .unwrap();
+        outcome.metres += truth.0[first..].windows(2).map(|poses| poses[0].1.between(&poses[1].1).distance()).sum::<f64>();
     }
     outcome
+}
+
+/// The true poses so far.
+#[derive(Default)]
+struct Truth(Vec<(Stamp, Pose2)>);
+
+impl Truth {
+    fn latest(&self) -> Pose2 {
+        self.0.last().unwrap().1
+    }
+
+    fn at(&self, stamp: Stamp) -> Pose2 {
+        self.0.iter().rev().find(|(time, _)| *time <= stamp).unwrap().1
+    }
+}
+
+/// Passes a message of a simulated drive to the localizer, except a scan, which is returned. `start` is called with the first true pose.
+fn feed(
+    localizer: &mut Localizer,
+    message: SimulatedMessage,
+    truth: &mut Truth,
+    start: impl Fn(&mut Localizer, Pose2),
+) -> Option<LaserScan> {
+    match message {
+        SimulatedMessage::Mount(mount) => localizer.on_transforms(&mount).unwrap(),
+        SimulatedMessage::Odometry(odometry) => localizer.on_odometry(&odometry).unwrap(),
+        SimulatedMessage::Truth { stamp, map_from_base } => {
+            if truth.0.is_empty() {
+                start(localizer, map_from_base);
+            }
+            truth.0.push((stamp, map_from_base));
+        }
+        SimulatedMessage::Scan(scan) => return Some(scan),
+    }
+    None
+}
+
+/// The message with a stamp `seconds` later.
+fn shifted(mut message: SimulatedMessage, seconds: f64) -> SimulatedMessage {
+    match &mut message {
+        SimulatedMessage::Mount(_) => {}
+        SimulatedMessage::Odometry(odometry) => {
+            odometry.header.stamp = Stamp::from(odometry.header.stamp).offset_by(seconds).into();
+        }
+        SimulatedMessage::Truth { stamp, .. } => *stamp = stamp.offset_by(seconds),
+        SimulatedMessage::Scan(scan) => scan.header.stamp = Stamp::from(scan.header.stamp).offset_by(seconds).into(),
+    }
+    message
 }
 
 /// A clock; the answers do not depend on it.

@@ -1,20 +1,17 @@
 //! Scans whose rays are measured one after the other.
 
-use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
 
 use anytime_scan_matcher::anytime::clock::VirtualClock;
-use anytime_scan_matcher::app::ScanProcessor as _;
 use anytime_scan_matcher::app::localizer::Localizer;
 use anytime_scan_matcher::config::Config;
 use anytime_scan_matcher::knobs::Seconds;
-use anytime_scan_matcher::simulation::drive::{Settings, SimulatedMessage, simulate};
+use anytime_scan_matcher::simulation::drive::{Settings, simulate};
 use anytime_scan_matcher::simulation::scene::Scene;
-use anytime_scan_matcher::time::Stamp;
 
-use super::{at_truth, process};
+use super::{Truth, at_truth, feed, process};
 use crate::common::corridor;
 
 /// RMS of the position error at 7 m/s with sweeps of 45 ms, m.
@@ -25,23 +22,13 @@ fn rmse(deskew: bool) -> f64 {
     let mut config = Config::default();
     (config.localization.particles, config.odometry.deskew) = (1000, deskew);
     let mut localizer = Localizer::new(corridor(), &config, Arc::new(VirtualClock::new(Duration::ZERO))).unwrap();
-    let (mut truth, mut errors) = (BTreeMap::new(), Vec::new());
+    let (mut truth, mut errors) = (Truth::default(), Vec::new());
     simulate::<Infallible>(&settings, &Scene::in_map(corridor(), 4).unwrap(), |_, message| {
-        match message {
-            SimulatedMessage::Mount(mount) => localizer.on_transforms(&mount).unwrap(),
-            SimulatedMessage::Odometry(odometry) => localizer.on_odometry(&odometry).unwrap(),
-            SimulatedMessage::Truth { stamp, map_from_base } => {
-                if truth.is_empty() {
-                    at_truth(&mut localizer, map_from_base);
-                }
-                truth.insert(stamp, map_from_base);
-            }
-            SimulatedMessage::Scan(scan) => {
-                let belief = process(&mut localizer, &scan).unwrap();
-                // The message arrives with the last ray, and is stamped with the first.
-                let (_, then) = truth.range(..=Stamp::from(scan.header.stamp)).next_back().unwrap();
-                errors.push(belief.map_from_base.between(then).distance().powi(2));
-            }
+        if let Some(scan) = feed(&mut localizer, message, &mut truth, at_truth) {
+            let belief = process(&mut localizer, &scan).unwrap();
+            // The message arrives with the last ray, and is stamped with the first.
+            let then = truth.at(scan.header.stamp.into());
+            errors.push(belief.map_from_base.between(&then).distance().powi(2));
         }
         Ok(())
     })

@@ -8,15 +8,13 @@ use crate::messages::sensor_msgs::LaserScan;
 use crate::scan::{Scan, ScanConverter};
 
 use super::super::BagMessage;
-use super::with_cause;
+use super::{Usability, with_cause};
 
 /// Summary of the scans on a topic. The geometry is that of the last scan.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct LaserSummary {
     /// Name of the topic.
     pub topic: String,
-    /// Frames of the scans: usually one.
-    pub frames: BTreeSet<String>,
     /// Number of beams.
     pub beams: usize,
     /// Direction of the first beam, degrees.
@@ -33,12 +31,9 @@ pub struct LaserSummary {
     pub geometry_changes: u64,
     /// Percentage of the rays of usable scans that have a valid range.
     pub valid_percent: f64,
-    /// Number of scans that can be matched.
-    pub usable: u64,
-    /// Number of scans that cannot be matched.
-    pub unusable: u64,
-    /// Why the first unusable scan cannot be matched.
-    pub first_error: Option<String>,
+    /// Which scans can be matched.
+    #[serde(flatten)]
+    pub usability: Usability,
     /// Irregularities that do not make any scan unusable.
     pub oddities: BTreeSet<String>,
 }
@@ -46,23 +41,10 @@ pub struct LaserSummary {
 impl LaserSummary {
     pub(super) fn problems(&self) -> Vec<String> {
         let topic = &self.topic;
-        let mut problems = Vec::new();
-        if let Some(error) = &self.first_error {
-            problems.push(format!(
-                "{topic}: {} of {} scans are unusable; the first: {error}",
-                self.unusable,
-                self.unusable + self.usable
-            ));
-        }
+        let mut problems = self.usability.problems(topic, "scans");
         problems.extend(self.oddities.iter().map(|oddity| format!("{topic}: {oddity}")));
         if self.geometry_changes > 0 {
             problems.push(format!("{topic}: the scan geometry changes {} times", self.geometry_changes));
-        }
-        if self.frames.len() > 1 {
-            problems.push(format!("{topic}: scans are in {} different frames", self.frames.len()));
-        }
-        if self.frames.contains("") {
-            problems.push(format!("{topic}: some scans have no frame_id"));
         }
         problems
     }
@@ -93,7 +75,7 @@ impl Statistics {
     pub(super) fn add(&mut self, message: &BagMessage<'_>) {
         match message.decode::<LaserScan>() {
             Ok(scan) => self.add_scan(&scan),
-            Err(error) => self.unusable(with_cause(&error)),
+            Err(error) => self.summary.usability.reject(with_cause(&error)),
         }
     }
 
@@ -103,11 +85,11 @@ impl Statistics {
         self.summary.oddities.extend(self.converter.take_warnings().iter().map(ToString::to_string));
         match scan {
             Ok(scan) => {
-                self.summary.usable += 1;
+                self.summary.usability.usable += 1;
                 self.rays += scan.len();
                 self.valid_rays += scan.valid_len();
             }
-            Err(error) => self.unusable(error.to_string()),
+            Err(error) => self.summary.usability.reject(error.to_string()),
         }
     }
 
@@ -119,20 +101,13 @@ impl Statistics {
         let increment_deg = f64::from(message.angle_increment).to_degrees();
         let summary = &mut self.summary;
         summary.geometry_changes += u64::from(changed);
-        if !summary.frames.contains(&message.header.frame_id) {
-            summary.frames.insert(message.header.frame_id.clone());
-        }
+        summary.usability.frames.insert(message.header.frame_id.clone());
         summary.beams = message.ranges.len();
         summary.angle_min_deg = f64::from(message.angle_min).to_degrees();
         summary.field_of_view_deg = increment_deg.abs() * summary.beams.saturating_sub(1) as f64;
         summary.increment_deg = increment_deg;
         summary.range_min_m = message.range_min.into();
         summary.range_max_m = message.range_max.into();
-    }
-
-    fn unusable(&mut self, error: String) {
-        self.summary.unusable += 1;
-        self.summary.first_error.get_or_insert(error);
     }
 
     pub(super) fn summary(mut self) -> LaserSummary {

@@ -6,7 +6,7 @@ mod odometry;
 mod table;
 mod topic;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error as _;
 
 use serde::Serialize;
@@ -120,7 +120,7 @@ impl BagSummary {
         let bases: Vec<&str> = of_odometry.map(String::as_str).chain([DEFAULT_BASE_FRAME]).collect();
         let tilted = |laser: &LaserSummary| {
             let topic = laser.topic.clone();
-            let errors = laser.frames.iter().filter_map(|frame| transforms.check_level(&bases, frame).err());
+            let errors = laser.usability.frames.iter().filter_map(|frame| transforms.check_level(&bases, frame).err());
             errors.map(move |error| format!("{topic}: {error}")).collect::<Vec<_>>()
         };
         self.lasers.iter().flat_map(tilted).collect()
@@ -130,7 +130,9 @@ impl BagSummary {
         let mut missing = Vec::new();
         if self.messages == 0 {
             missing.push("the bag has no messages".into());
-        } else if self.lasers.iter().all(|laser| laser.usable == 0) && self.clouds.iter().all(|cloud| cloud.usable == 0) {
+        } else if self.lasers.iter().all(|laser| laser.usability.usable == 0)
+            && self.clouds.iter().all(|cloud| cloud.usability.usable == 0)
+        {
             missing.push(format!("the bag has no usable scans ({} or {}) to match", LaserScan::TYPE, PointCloud2::TYPE));
         }
         if self.messages > 0 && self.odometry.is_empty() {
@@ -176,6 +178,43 @@ impl TopicReport {
             Content::Odometry(odometry) => odometry.add(message),
             Content::Other => {}
         }
+    }
+}
+
+/// Frames of the scans or clouds on a topic, and how many of them are usable.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Usability {
+    /// Frames of the messages: usually one.
+    pub frames: BTreeSet<String>,
+    /// Number of usable messages.
+    pub usable: u64,
+    /// Number of unusable messages.
+    pub unusable: u64,
+    /// Why the first unusable message is unusable.
+    pub first_error: Option<String>,
+}
+
+impl Usability {
+    /// Counts an unusable message.
+    fn reject(&mut self, error: String) {
+        self.unusable += 1;
+        self.first_error.get_or_insert(error);
+    }
+
+    /// The problems; `messages` is the plural name of the messages.
+    fn problems(&self, topic: &str, messages: &str) -> Vec<String> {
+        let Self { frames, usable, unusable, first_error } = self;
+        let mut problems = Vec::new();
+        if let Some(error) = first_error {
+            problems.push(format!("{topic}: {unusable} of {} {messages} are unusable; the first: {error}", unusable + usable));
+        }
+        if frames.len() > 1 {
+            problems.push(format!("{topic}: {messages} are in {} different frames", frames.len()));
+        }
+        if frames.contains("") {
+            problems.push(format!("{topic}: some {messages} have no frame_id"));
+        }
+        problems
     }
 }
 

@@ -4,14 +4,12 @@ use std::collections::BTreeSet;
 
 use serde::Serialize;
 
+use crate::io::tum::NORM_TOLERANCE;
 use crate::messages::geometry_msgs::Pose;
 use crate::messages::nav_msgs::Odometry;
 
 use super::super::BagMessage;
 use super::with_cause;
-
-/// Maximum deviation of a quaternion's norm from 1.
-const NORM_TOLERANCE: f64 = 0.01;
 
 /// Summary of the odometry on a topic.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -48,8 +46,8 @@ impl OdometrySummary {
     }
 
     fn add_odometry(&mut self, odometry: Odometry) {
-        let Pose { position: p, orientation: q } = odometry.pose.pose;
-        let norm = (q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w).sqrt();
+        let Pose { position: p, orientation } = odometry.pose.pose;
+        let norm = orientation.norm();
         if ![p.x, p.y, p.z, norm].iter().all(|number| number.is_finite()) {
             self.not_finite += 1;
         } else if (norm - 1.0).abs() > NORM_TOLERANCE {

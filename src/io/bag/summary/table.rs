@@ -83,15 +83,15 @@ impl BagSummary {
         let rows = self.lasers.iter().map(|laser| {
             vec![
                 laser.topic.clone(),
-                join_names(&laser.frames),
+                join_names(&laser.usability.frames),
                 laser.beams.to_string(),
                 format!("{:.1}", laser.field_of_view_deg),
                 format!("{:.1}", laser.angle_min_deg),
                 format!("{:.3}", laser.increment_deg),
                 format!("{:.2} to {:.2}", laser.range_min_m, laser.range_max_m),
                 format!("{:.1} %", laser.valid_percent),
-                laser.usable.to_string(),
-                laser.unusable.to_string(),
+                laser.usability.usable.to_string(),
+                laser.usability.unusable.to_string(),
             ]
         });
         TextTable::new(&header, rows, 2)
@@ -103,11 +103,11 @@ impl BagSummary {
             let heights = cloud.lowest_m.zip(cloud.highest_m).map(|(low, high)| format!("{low:.2} to {high:.2}"));
             vec![
                 cloud.topic.clone(),
-                join_names(&cloud.frames),
+                join_names(&cloud.usability.frames),
                 format!("{} x {}", cloud.width, cloud.height),
                 heights.unwrap_or("-".into()),
-                cloud.usable.to_string(),
-                cloud.unusable.to_string(),
+                cloud.usability.usable.to_string(),
+                cloud.usability.unusable.to_string(),
             ]
         });
         TextTable::new(&header, rows, 2)
