@@ -104,7 +104,7 @@ impl Intake {
         let frame = frame_name(&message.header.frame_id).to_owned();
         let Some(pose_from_path) = self.pose_from(&frame) else {
             let remark = format!(
-                "path: no transform on /tf from its frame '{frame}' to the frame '{}' of the poses: waiting for it",
+                "no transform on /tf from its frame '{frame}' to the frame '{}' of the poses: waiting for it",
                 self.frame()
             );
             self.waiting = Some(message.clone());
@@ -130,11 +130,11 @@ impl Intake {
                 Some(Remark::Info(format!("following a path of {:.1} m ({kind})", path.length())))
             }
             Ok(PathUpdate::Unchanged) => None,
-            Ok(PathUpdate::Outdated) => Some(Remark::Warning("path: ignored, as it is older than the current one".into())),
+            Ok(PathUpdate::Outdated) => Some(Remark::Warning("ignored, as it is older than the current one".into())),
             Err(problem @ PathError::NotFinite { .. }) => {
-                Some(Remark::Warning(format!("path: rejected: {problem}; keeping the current path")))
+                Some(Remark::Warning(format!("rejected: {problem}; keeping the current path")))
             }
-            Err(problem) => Some(Remark::Warning(format!("path: {problem}: the car stops"))),
+            Err(problem) => Some(Remark::Warning(format!("{problem}: the car stops"))),
         }
     }
 

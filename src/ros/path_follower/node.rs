@@ -228,6 +228,6 @@ fn log_remark(remark: Option<Remark>, log: &Log) {
     match remark {
         None => {}
         Some(Remark::Info(text)) => log.info(&text),
-        Some(Remark::Warning(text)) => log.warn(&text),
+        Some(Remark::Warning(text)) => log.warn(&format!("path: {text}")),
     }
 }
