@@ -95,13 +95,20 @@ impl MatchProblem {
         }
     }
 
-    /// Predicted pose of the base on the map, and its covariance.
+    /// Predicted pose of the base on the map, and its covariance by all errors.
     pub(super) fn predicted_base(&self) -> (Pose2, PoseCovariance) {
+        (self.predicted_pose(), self.predicted_covariance() + self.predicted_by_scale().covariance())
+    }
+
+    /// Predicted pose of the base on the map.
+    pub(super) fn predicted_pose(&self) -> Pose2 {
+        self.previous.map_from_base * self.prediction.motion
+    }
+
+    /// Covariance of that pose by all errors except the scale error of the odometry.
+    pub(super) fn predicted_covariance(&self) -> PoseCovariance {
         let (previous, Prediction { motion, covariance }) = (&self.previous, &self.prediction);
-        (
-            previous.map_from_base * *motion,
-            uncertainty::compound(&previous.map_from_base, &previous.covariance, motion, covariance),
-        )
+        uncertainty::compound(&previous.map_from_base, &previous.covariance, motion, covariance)
     }
 
     /// How the scale error of the odometry moves the predicted pose of the base.
@@ -113,6 +120,6 @@ impl MatchProblem {
 
     /// Predicted pose of the laser on the map.
     pub(super) fn predicted_laser(&self) -> Pose2 {
-        self.previous.map_from_base * self.prediction.motion * self.base_from_laser
+        self.predicted_pose() * self.base_from_laser
     }
 }

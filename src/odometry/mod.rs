@@ -347,7 +347,6 @@ impl LaserOdometry {
         let mut problem = self.match_problem(&previous, scan.stamp(), base_from_laser);
         if self.keyframe.is_none() {
             let (map_from_base, covariance) = problem.predicted_base();
-            let covariance = covariance + problem.predicted_by_scale().covariance();
             return self.register_first(scan, base_from_laser, map_from_base, covariance);
         }
         let Some(keyframe) = self.reference_for(scan, &problem) else {

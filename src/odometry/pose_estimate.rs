@@ -55,7 +55,6 @@ impl PoseEstimate {
     /// The prediction, for a scan whose match failed.
     pub(super) fn predicted(problem: &MatchProblem, failure: Failure) -> Self {
         let MatchProblem { previous, prediction: Prediction { motion, covariance: step }, .. } = problem;
-        let (map_from_base, covariance) = problem.predicted_base();
         let to_keyframe = uncertainty::compound(&Pose2::IDENTITY, &previous.covariance_to_keyframe, motion, step);
         let error = ErrorEstimate::of_covariance(step);
         Self {
@@ -65,7 +64,7 @@ impl PoseEstimate {
             covariance_to_keyframe: uncertainty::rotated(&to_keyframe, -motion.theta),
             predicted_error: error,
             estimated_error: error,
-            ..Self::first(map_from_base, covariance)
+            ..Self::first(problem.predicted_pose(), problem.predicted_covariance())
         }
     }
 
@@ -104,7 +103,7 @@ impl PoseEstimate {
             rotation * with_prior * prior * rotation.transpose()
         });
         let from = |pose: &Pose2| map_from_base.translation() - pose.translation();
-        let predicted_by_scale = problem.predicted_by_scale().at(from(&problem.predicted_base().0));
+        let predicted_by_scale = problem.predicted_by_scale().at(from(&problem.predicted_pose()));
         let by_scale =
             ScaleJacobian::fused(keyframe.by_scale.at(from(&keyframe.map_from_laser)), predicted_by_scale, &prior_weight);
         Self {

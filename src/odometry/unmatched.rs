@@ -89,7 +89,6 @@ impl LaserOdometry {
                 problem.previous.motion.predict(scan.stamp().seconds_since(problem.previous.stamp)).without_measurement().twist;
             let error = ErrorEstimate::of_covariance(&problem.prediction.covariance);
             let (map_from_base, covariance) = problem.predicted_base();
-            let covariance = covariance + problem.predicted_by_scale().covariance();
             return Registration {
                 refinement,
                 ..self.register_without_update(failure, map_from_base, &covariance, (twist, error))
