@@ -7,8 +7,8 @@ use super::sensed::SensorMessage;
 use crate::anytime::interrupt::Interrupt;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::Imu;
+use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
-use crate::time::Stamp;
 
 /// An application that processes scans, each under a contract.
 pub trait ScanProcessor: Sized {
@@ -26,9 +26,9 @@ pub trait ScanProcessor: Sized {
     /// reports the next scan.
     fn maintain(&mut self, next: &dyn Interrupt);
 
-    /// How long to delay a scan with this stamp until the odometry that it needs has arrived; `None`: process it now. If the wait
-    /// times out, the scan is predicted with the odometry available.
-    fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration>;
+    /// How long to delay the scan with this header until the odometry and the pose of its laser have arrived; `None`: process it
+    /// now. If the wait times out, the scan is processed with what there is.
+    fn wait_for_inputs(&self, header: &Header) -> Option<Duration>;
 
     /// Handles a wheel odometry message.
     fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError>;

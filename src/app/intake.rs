@@ -139,8 +139,14 @@ impl Intake {
         now.saturating_sub(arrival)
     }
 
-    /// How long to wait for odometry before processing a scan; `None`: do not wait.
-    pub(super) fn max_odometry_wait(&self) -> Option<Duration> {
+    /// Whether the first scan, which has this header, should wait for the transform of its laser: both may be on their way.
+    pub(super) fn awaits_mount(&self, header: &Header) -> bool {
+        let mount = || self.transforms.laser_mount(&self.config.frames.base_frame, &header.frame_id, header.stamp.into(), None);
+        self.mount_source == MountSource::Assumed && self.first_assumed.is_none() && mount().is_none()
+    }
+
+    /// How long to wait for odometry or transforms before processing a scan; `None`: do not wait.
+    pub(super) fn max_wait(&self) -> Option<Duration> {
         let wait = self.contract.max_wait(Duration::from_secs_f64(self.config.odometry.max_wait.0));
         (!wait.is_zero()).then_some(wait)
     }

@@ -454,8 +454,8 @@ impl ScanProcessor for Localizer {
         costs.learn();
     }
 
-    fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        self.intake.max_odometry_wait().filter(|_| self.sources.is_behind(stamp))
+    fn wait_for_inputs(&self, header: &Header) -> Option<Duration> {
+        self.intake.max_wait().filter(|_| self.sources.is_behind(header.stamp.into()) || self.intake.awaits_mount(header))
     }
 
     fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {

@@ -342,7 +342,7 @@ impl App {
 
     /// How long to delay an answer for odometry that improves it: `odometry.max_wait`, but at most half of the time budget.
     pub fn max_odometry_wait(&self) -> Duration {
-        self.intake.max_odometry_wait().unwrap_or_default()
+        self.intake.max_wait().unwrap_or_default()
     }
 
     /// Adds the base pose of another node's transforms as a prediction, if `prediction_frame` is set.
@@ -482,8 +482,9 @@ impl ScanProcessor for App {
         costs.learn();
     }
 
-    fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        self.intake.max_odometry_wait().filter(|_| self.odometry.awaits_odometry(stamp))
+    fn wait_for_inputs(&self, header: &Header) -> Option<Duration> {
+        let is_waiting = |_: &_| self.odometry.awaits_odometry(header.stamp.into()) || self.intake.awaits_mount(header);
+        self.intake.max_wait().filter(is_waiting)
     }
 
     fn on_odometry(&mut self, message: &Odometry) -> Result<(), InputError> {

@@ -90,6 +90,11 @@ pub fn header_stamp(bytes: &[u8]) -> Option<Stamp> {
     Some(Time { sec: word(4)?, nsec: word(8)? }.into())
 }
 
+/// Reads only the header of a message that begins with one. `None` if there are too few bytes.
+pub fn header(bytes: &[u8]) -> Option<std_msgs::Header> {
+    std_msgs::Header::read_from_buffer(bytes).ok()
+}
+
 /// Serializes a message.
 pub fn encode<T: Message>(message: &T) -> Result<Vec<u8>, DecodeError> {
     message.write_to_vec().map_err(|e| DecodeError { message_type: T::TYPE, len: 0, problem: e.to_string() })

@@ -120,7 +120,8 @@ crate::knobs! {
         scan_duration: Option<Seconds> = None, in -1 to 1, unit "s";
         /// Initial pose of the base, `[x, y, yaw]`, in both the map and the odom frame.
         initial_pose: Pose2 = Pose2::IDENTITY, unit "m, m, rad";
-        /// Maximum time to wait for odometry that is more than 50 ms behind a scan; limited by the time budget.
+        /// Maximum time to wait for odometry that is more than 50 ms behind a scan, and at the first scan for the pose of its laser;
+        /// limited by the time budget.
         max_wait: Seconds = Seconds(0.3), in 0 to 10, unit "s";
         /// Reject a match that shifts the predicted position by more than this.
         max_correction_distance: f64 = 1.0, in 0.01 to 100, unit "m";

@@ -25,8 +25,9 @@ use crate::io::bag::{Bag, BagError, BagMessage};
 use crate::io::contract_schedule::ContractSchedule;
 use crate::messages::nav_msgs::Odometry;
 use crate::messages::sensor_msgs::{Imu, LaserScan, PointCloud2};
+use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
-use crate::messages::{Message, header_stamp};
+use crate::messages::{self, Message};
 use crate::quantile;
 use crate::time::Stamp;
 
@@ -255,21 +256,21 @@ fn feed<L: ScanProcessor, E>(
     Ok(log)
 }
 
-/// A scan held back until its odometry has arrived, as in the node.
+/// A scan held back until its odometry and the pose of its laser have arrived, as in the node.
 struct HeldScan<'bag> {
     message: BagMessage<'bag>,
-    stamp: Stamp,
+    header: Header,
 }
 
 impl<'bag> HeldScan<'bag> {
     fn new(message: BagMessage<'bag>) -> Self {
-        // A scan that cannot be decoded has no stamp. Any will do, because processing it gives an error.
-        let stamp = header_stamp(&message.data).unwrap_or(message.time);
-        Self { message, stamp }
+        // Any header will do for a scan that cannot be decoded, because processing it gives an error.
+        let header = messages::header(&message.data).unwrap_or_default();
+        Self { message, header }
     }
 
     fn can_wait(&self, processor: &impl ScanProcessor, now: Stamp) -> bool {
-        processor.wait_for_odometry(self.stamp).is_some_and(|wait| now.seconds_since(self.message.time) < wait.as_secs_f64())
+        processor.wait_for_inputs(&self.header).is_some_and(|wait| now.seconds_since(self.message.time) < wait.as_secs_f64())
     }
 }
 

@@ -9,7 +9,7 @@ use super::mailbox::{Batch, Event, Request};
 use super::sink::RawMessage;
 use crate::anytime::timer::Timer;
 use crate::app::sensed::SensorMessage;
-use crate::time::Stamp;
+use crate::messages::std_msgs::Header;
 
 /// The algorithm of a node. The handlers of its topics are in its [`Input`]s.
 pub(super) trait Algorithm {
@@ -23,8 +23,8 @@ pub(super) trait Algorithm {
     /// Handles a request by a service or a parameter.
     fn request(&mut self, _: Request, _: &mut Context) {}
 
-    /// How long to hold back a scan of this stamp for odometry; `None`: process it now.
-    fn wait_for_odometry(&self, _: Stamp) -> Option<Duration> {
+    /// How long to hold back the scan with this header for odometry or transforms; `None`: process it now.
+    fn wait_for_inputs(&self, _: &Header) -> Option<Duration> {
         None
     }
 
@@ -107,7 +107,7 @@ impl<A: Algorithm> Worker<A> {
         self.context.shared.interrupts.begin();
         match self.read_sensor_message(raw) {
             Some(scan) => {
-                self.await_odometry(scan.stamp(), arrival);
+                self.await_inputs(scan.header(), arrival);
                 self.algorithm.answer(&scan, arrival, &mut self.context);
             }
             None => self.context.shared.interrupts.abandon(),
@@ -122,9 +122,9 @@ impl<A: Algorithm> Worker<A> {
         }
     }
 
-    /// Holds a scan back while the algorithm waits for odometry.
-    fn await_odometry(&mut self, stamp: Stamp, arrival: Duration) {
-        while let Some(max_wait) = self.algorithm.wait_for_odometry(stamp) {
+    /// Holds a scan back while the algorithm waits for what it needs.
+    fn await_inputs(&mut self, header: &Header, arrival: Duration) {
+        while let Some(max_wait) = self.algorithm.wait_for_inputs(header) {
             let left = (arrival + max_wait).saturating_sub(self.context.shared.clock.now());
             let Some(events) = self.context.shared.mailbox.events_for_held_scan(left, &*self.context.shared.interrupts) else {
                 return;

@@ -15,6 +15,7 @@ use anytime_scan_matcher::messages::geometry_msgs::{
 use anytime_scan_matcher::messages::nav_msgs::Odometry;
 use anytime_scan_matcher::messages::own::Contract;
 use anytime_scan_matcher::messages::sensor_msgs::{Imu, LaserScan};
+use anytime_scan_matcher::messages::std_msgs::Header;
 use anytime_scan_matcher::messages::tf2_msgs::TFMessage;
 use anytime_scan_matcher::odometry::Outcome;
 use anytime_scan_matcher::scan::{ScanConverter, ScanError};
@@ -375,19 +376,36 @@ fn other_nodes_transforms_and_velocities_predict() {
 
 #[test]
 fn scans_wait_for_odometry_only_while_it_arrives() {
-    let mut app = app(&[]);
-    let stamp = |seconds: f64| Stamp::from_seconds(START + seconds);
-    assert_eq!(app.wait_for_odometry(stamp(0.0)), None, "there is no odometry");
+    let mut app = app(&["odometry.laser_in_base=[0, 0, 0]"]);
+    let wait = |app: &App, seconds| app.wait_for_inputs(&header_at(seconds));
+    assert_eq!(wait(&app, 0.0), None, "there is no odometry");
     answer(&mut app, &scan_at(0.0, true_pose(0.0)));
     app.on_odometry(&odometry_at(0.0, true_pose(0.0))).unwrap();
-    assert_eq!(app.wait_for_odometry(stamp(0.04)), None, "close enough to extrapolate");
-    assert_eq!(app.wait_for_odometry(stamp(0.2)), Some(Duration::from_millis(300)));
+    assert_eq!(wait(&app, 0.04), None, "close enough to extrapolate");
+    assert_eq!(wait(&app, 0.2), Some(Duration::from_millis(300)));
     app.on_contract(&contract(0, 10_000_000)).unwrap();
-    assert_eq!(app.wait_for_odometry(stamp(0.2)), Some(Duration::from_millis(5)), "never beyond the budget");
+    assert_eq!(wait(&app, 0.2), Some(Duration::from_millis(5)), "never beyond the budget");
     answer(&mut app, &scan_at(0.2, true_pose(0.2)));
-    assert_eq!(app.wait_for_odometry(stamp(0.4)), None, "the last wait timed out");
+    assert_eq!(wait(&app, 0.4), None, "the last wait timed out");
     app.on_odometry(&odometry_at(0.2, true_pose(0.2))).unwrap();
-    assert!(app.wait_for_odometry(stamp(0.4)).is_some());
+    assert!(wait(&app, 0.4).is_some());
+}
+
+#[test]
+fn the_first_scan_waits_for_the_pose_of_its_laser() {
+    let wait = |app: &App| app.wait_for_inputs(&header_at(0.0));
+    let mut known = app(&[]);
+    assert_eq!(wait(&known), Some(Duration::from_millis(300)));
+    send_transform(&mut known, "base_link", "laser", Pose2::new(0.3, 0.0, 0.0).into());
+    assert_eq!(wait(&known), None);
+    let mut unknown = app(&[]);
+    answer(&mut unknown, &scan_at(0.0, true_pose(0.0)));
+    assert_eq!(wait(&unknown), None, "once is enough: there may never be one");
+}
+
+/// The header of a scan.
+fn header_at(seconds: f64) -> Header {
+    scan_at(seconds, Pose2::IDENTITY).header
 }
 
 fn contract(sec: i32, nsec: i32) -> Contract {

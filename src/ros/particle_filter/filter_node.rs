@@ -16,6 +16,7 @@ use crate::localization::estimate::Belief;
 use crate::map::grid::OccupancyGrid;
 use crate::messages::nav_msgs;
 use crate::messages::own::Contract;
+use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::ros::context::{Context, Shared};
 use crate::ros::diagnostics::Sample;
@@ -25,7 +26,6 @@ use crate::ros::priority::yield_to_writers;
 use crate::ros::sink::RawMessage;
 use crate::ros::transform_output::ConflictingPublisher;
 use crate::ros::worker::Algorithm;
-use crate::time::Stamp;
 use crate::transforms::TransformTree;
 
 /// Time after which another publisher of the same transform is regarded as permanent, and this node yields to it.
@@ -197,8 +197,8 @@ impl Algorithm for FilterNode {
         }
     }
 
-    fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        self.localizer.as_ref()?.wait_for_odometry(stamp)
+    fn wait_for_inputs(&self, header: &Header) -> Option<Duration> {
+        self.localizer.as_ref()?.wait_for_inputs(header)
     }
 
     fn answer(&mut self, scan: &SensorMessage, arrival: Duration, context: &mut Context) {

@@ -10,6 +10,7 @@ use crate::app::sensed::SensorMessage;
 use crate::app::{App, Estimate, InputError, ScanProcessor as _};
 use crate::config::FrameKnobs;
 use crate::messages::geometry_msgs::TwistStamped;
+use crate::messages::std_msgs::Header;
 use crate::messages::tf2_msgs::TFMessage;
 use crate::odometry::Outcome;
 use crate::ros::context::{Context, Shared};
@@ -23,7 +24,6 @@ use crate::ros::services::Reply;
 use crate::ros::sink::RawMessage;
 use crate::ros::transform_output::ConflictingPublisher;
 use crate::ros::worker::Algorithm;
-use crate::time::Stamp;
 
 /// Everything that the matching thread owns.
 pub(super) struct MatcherNode {
@@ -135,8 +135,8 @@ impl Algorithm for MatcherNode {
         }
     }
 
-    fn wait_for_odometry(&self, stamp: Stamp) -> Option<Duration> {
-        self.app.wait_for_odometry(stamp)
+    fn wait_for_inputs(&self, header: &Header) -> Option<Duration> {
+        self.app.wait_for_inputs(header)
     }
 
     /// Every scan improves the map, so scans may wait for as long as one is held back for its odometry.

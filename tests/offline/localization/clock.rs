@@ -36,7 +36,7 @@ fn driven_on(step: f64, with_odometry: bool) -> (f64, usize) {
             held = scan.map(|scan| (scan, truth.latest())).or(held.take());
         }
         // As in the node, a scan waits until its odometry has arrived.
-        let is_due = |localizer: &Localizer, scan: &LaserScan| localizer.wait_for_odometry(scan.header.stamp.into()).is_none();
+        let is_due = |localizer: &Localizer, scan: &LaserScan| localizer.wait_for_inputs(&scan.header).is_none();
         if let Some((scan, truth)) = held.take_if(|(scan, _)| is_due(&localizer, scan)) {
             match process(&mut localizer, &scan) {
                 Ok(_) if seconds < 12.0 => {}

@@ -43,7 +43,7 @@ fn localized(late: f64) -> (f64, f64) {
     let (mut truth, mut held, mut errors) = (Truth::default(), None::<(LaserScan, Pose2)>, Vec::new());
     for message in messages(late) {
         let is_scan = matches!(message, SimulatedMessage::Scan(_));
-        let can_wait = |scan: &LaserScan, localizer: &Localizer| localizer.wait_for_odometry(scan.header.stamp.into()).is_some();
+        let can_wait = |scan: &LaserScan, localizer: &Localizer| localizer.wait_for_inputs(&scan.header).is_some();
         if let Some((scan, truth)) = held.take_if(|(scan, _)| is_scan || !can_wait(scan, &localizer)) {
             let error = process(&mut localizer, &scan).unwrap().map_from_base.between(&truth);
             errors.push(error.distance());

@@ -113,7 +113,7 @@ fn run_in(
         let mut held: Option<LaserScan> = None;
         simulate::<Infallible>(&settings, &scene, |_, message| {
             held = feed(&mut localizer, shifted(message, later), &mut truth, &prepare).or(held.take());
-            if let Some(scan) = held.take_if(|scan| localizer.wait_for_odometry(scan.header.stamp.into()).is_none()) {
+            if let Some(scan) = held.take_if(|scan| localizer.wait_for_inputs(&scan.header).is_none()) {
                 let (start, rays) = (Instant::now(), localizer.filter().rays_cast());
                 let belief = process(&mut localizer, &scan).unwrap();
                 outcome.times.push(start.elapsed());
