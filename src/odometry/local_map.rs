@@ -11,7 +11,7 @@ use std::sync::Arc;
 use super::keyframe_pose::KeyframePose;
 use super::scale_error::ScaleJacobian;
 use super::{drift, uncertainty};
-use crate::geometry::{Pose2, PoseCovariance};
+use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
 use crate::matching::{COARSE_VIEWS, PlacedView, View};
 use crate::scan::Scan;
 
@@ -80,15 +80,15 @@ impl LocalMap {
         *self = Self { near: std::mem::take(&mut self.near), ..Self::default() };
     }
 
-    /// Adds a keyframe and drops the oldest if there are more than `max_keyframes`. `is_lost`: the motion from the previous
-    /// keyframe is unknown, so that earlier keyframes are not used until a loop closure links them.
+    /// Adds a keyframe, and drops others if there are more than `max_keyframes`. `is_lost`: the motion from the previous keyframe
+    /// is unknown, so that earlier keyframes are not used until a loop closure links them.
     pub(super) fn add(&mut self, mut pose: KeyframePose, view: Arc<View>, is_lost: bool, max_keyframes: usize) {
         let path_length = self
             .keyframes
             .back()
             .map_or(0.0, |last| last.path_length + last.pose.map_from_base().between(&pose.map_from_base()).distance());
         while self.keyframes.len() >= max_keyframes.max(1) {
-            self.keyframes.pop_front();
+            self.drop_one(path_length);
         }
         let path_length = if is_lost { path_length + LOST_LENGTH } else { path_length };
         if is_lost {
@@ -96,8 +96,30 @@ impl LocalMap {
             pose.step_covariance += uncertainty::unknown_motion();
         }
         self.keyframes.push_back(Keyframe { pose, view, path_length });
-        let oldest = self.keyframes[0].path_length;
-        self.links.retain(|link| link.earlier + MAX_CONNECTED_LENGTH >= oldest);
+    }
+
+    /// Drops the keyframe whose neighbours on the path are nearest to one another, so that a long path is remembered in less
+    /// detail, but from its start. Scans are matched to the latest ones, up to `now` on the path, so these are kept if possible.
+    fn drop_one(&mut self, now: f64) {
+        let is_recent = |keyframe: &Keyframe| now - keyframe.path_length <= MAX_CONNECTED_LENGTH;
+        let gap = |i: usize| {
+            let (before, after) = (&self.keyframes[i - 1], &self.keyframes[i + 1]);
+            let rotation = after.pose.heading_from(&before.pose.map_from_laser);
+            after.path_length - before.path_length + wrap_angle(rotation).abs()
+        };
+        let older = (1..self.keyframes.len().saturating_sub(1)).take_while(|&i| !is_recent(&self.keyframes[i]));
+        let dropped = older.min_by(|&a, &b| gap(a).total_cmp(&gap(b))).unwrap_or(0);
+        if dropped > 0 {
+            let steps = [dropped, dropped + 1].map(|i| self.keyframes[i].pose);
+            self.keyframes[dropped + 1].pose.step_covariance = drift::end_covariance(steps.iter());
+        }
+        self.keyframes.remove(dropped);
+        let keyframes = &self.keyframes;
+        let is_remembered = |place: f64| {
+            let next = keyframes.partition_point(|keyframe| keyframe.path_length < place - MAX_CONNECTED_LENGTH);
+            keyframes.get(next).is_some_and(|keyframe| keyframe.path_length <= place + MAX_CONNECTED_LENGTH)
+        };
+        self.links.retain(|link| is_remembered(link.earlier) && is_remembered(link.later));
     }
 
     /// Removes surfaces that have moved since: surfaces of the matched keyframes that the latest keyframe saw through, and vice
@@ -336,8 +358,22 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_is_dropped_when_there_are_too_many() {
+    fn the_oldest_of_the_latest_metres_is_dropped_when_there_are_too_many() {
         assert_eq!(around(&mut map(&[(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)], 2), (0.0, 0.0), 5), [(1.0, 0.0), (2.0, 0.0)]);
+    }
+
+    #[test]
+    fn a_long_path_is_remembered_from_its_start_in_less_detail() {
+        let line: Vec<_> = (0..=200).map(|x| (f64::from(x), 0.0)).collect();
+        let (all, mut few) = (map(&line, 1000), map(&line, 60));
+        let x = |keyframe: &Keyframe| keyframe.pose.map_from_laser.x;
+        let kept: Vec<f64> = few.keyframes.iter().map(x).collect();
+        assert_eq!((kept.len(), kept[0]), (60, 0.0));
+        assert!(kept.windows(2).all(|pair| pair[1] - pair[0] <= 8.0), "{kept:?}");
+        assert!((180..=200).all(|x| kept.contains(&f64::from(x))), "{kept:?}");
+        let drift = |map: &LocalMap| drift::end_covariance(map.keyframes.iter().skip(1).map(|keyframe| &keyframe.pose));
+        assert!((drift(&few) - drift(&all)).norm() < 1e-9 * drift(&all).norm(), "what is forgotten is no less uncertain");
+        assert!(few.loop_candidate(&Pose2::new(0.5, 0.0, 0.0), 2, &mut Vec::new()).is_some());
     }
 
     #[test]
