@@ -11,7 +11,7 @@ use std::sync::Arc;
 use super::keyframe_pose::KeyframePose;
 use super::scale_error::ScaleJacobian;
 use super::{drift, uncertainty};
-use crate::geometry::{Pose2, PoseCovariance, wrap_angle};
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::{COARSE_VIEWS, PlacedView, View};
 use crate::scan::Scan;
 
@@ -102,11 +102,8 @@ impl LocalMap {
     /// detail, but from its start. Scans are matched to the latest ones, up to `now` on the path, so these are kept if possible.
     fn drop_one(&mut self, now: f64) {
         let is_recent = |keyframe: &Keyframe| now - keyframe.path_length <= MAX_CONNECTED_LENGTH;
-        let gap = |i: usize| {
-            let (before, after) = (&self.keyframes[i - 1], &self.keyframes[i + 1]);
-            let rotation = after.pose.heading_from(&before.pose.map_from_laser);
-            after.path_length - before.path_length + wrap_angle(rotation).abs()
-        };
+        let pose = |i: usize| self.keyframes[i].pose.map_from_laser;
+        let gap = |i: usize| pose(i - 1).between(&pose(i + 1)).magnitude();
         let older = (1..self.keyframes.len().saturating_sub(1)).take_while(|&i| !is_recent(&self.keyframes[i]));
         let dropped = older.min_by(|&a, &b| gap(a).total_cmp(&gap(b))).unwrap_or(0);
         if dropped > 0 {

@@ -101,7 +101,7 @@ crate::knobs! {
         /// Maximum number of keyframes in the local map; beyond that, places driven through more than 20 m ago are remembered in
         /// less detail. A keyframe takes 30 to 50 bytes per beam. Keyframes are added where the robot has not been before, so
         /// that their number grows with the area and not with the time.
-        max_keyframes: u32 = 1000, in 1 to 10000;
+        max_keyframes: u32 = 2000, in 1 to 10000;
         /// Close loops: recognise previously visited places in the local map and correct the map. Poses then jump in the map
         /// frame, never in the odom frame. Needs projective correspondences. When off, a keyframe is used for 20 m of driving,
         /// and map and odom are the same frame.
