@@ -197,14 +197,9 @@ impl LocalMap {
         self.links.push(Link { later: self.path_length(), earlier: candidate.path_length });
     }
 
-    /// Length of the path that has drifted: since the candidate, or since earlier keyframes last anchored the path, m.
-    pub(super) fn drift_length(&self, candidate: &LoopCandidate) -> f64 {
-        self.path_length() - candidate.path_length.max(self.anchored_until)
-    }
-
-    /// Path length at which the drift began, m.
+    /// Path length at which the drift began, m: at the candidate, or where earlier keyframes last anchored the path.
     fn drift_start(&self, candidate: &LoopCandidate) -> f64 {
-        self.path_length() - self.drift_length(candidate)
+        candidate.path_length.max(self.anchored_until)
     }
 
     /// Covariance of the drift, in the map frame.

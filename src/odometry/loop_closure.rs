@@ -5,21 +5,15 @@
 //! (consistency of loop closures in a chain, as in Olson 2009, "Recognizing places using spectrally clustered local matches"). An
 //! accepted measurement corrects the path by a Kalman update, weighted by its information: along a corridor that may be none.
 
-use std::ops::RangeInclusive;
-
 use nalgebra::Matrix3;
 
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::SearchWindow;
 
-/// Search radius for earlier keyframes per metre of drift length, m.
-const DRIFT_PER_METRE: f64 = 0.02;
-/// Limits of the search radius, m.
-const DRIFT: RangeInclusive<f64> = 0.3..=4.0;
-/// Searched heading range per metre of drift length, rad.
-const HEADING_DRIFT_PER_METRE: f64 = 0.001;
-/// Limits of the searched heading range, rad.
-const HEADING_DRIFT: RangeInclusive<f64> = 0.02..=0.15;
+/// Earlier keyframes are searched for within this many standard deviations of the drift. From 2 to 4 makes no difference.
+const SEARCH_SIGMAS: f64 = 3.0;
+/// Maximum search radius, m, and heading range, rad, which limit the work where the drift is unknown.
+const MAX_SEARCH: (f64, f64) = (4.0, 0.35);
 /// If at least this fraction of the rays agrees at the pose by the path, no other pose is searched.
 const SEARCH_BELOW_AGREEMENT: f64 = 0.8;
 /// Minimum fraction of rays that must agree.
@@ -80,12 +74,11 @@ impl LoopMeasurement {
     }
 }
 
-/// Search window for earlier keyframes after the path has drifted for `path_length`, m.
-pub(super) fn window(path_length: f64) -> SearchWindow {
-    let within = |drift: f64, limits: &RangeInclusive<f64>| drift.clamp(*limits.start(), *limits.end());
+/// Search window for earlier keyframes. `drift`: covariance of the path's pose relative to them.
+pub(super) fn window(drift: &PoseCovariance) -> SearchWindow {
     SearchWindow {
-        distance: within(DRIFT_PER_METRE * path_length, &DRIFT),
-        angle: within(HEADING_DRIFT_PER_METRE * path_length, &HEADING_DRIFT),
+        distance: (SEARCH_SIGMAS * (drift.m11 + drift.m22).sqrt()).min(MAX_SEARCH.0),
+        angle: (SEARCH_SIGMAS * drift.m33.sqrt()).min(MAX_SEARCH.1),
         min_agreement: SEARCH_BELOW_AGREEMENT,
     }
 }
@@ -148,6 +141,14 @@ mod tests {
     fn accepted(measurements: impl IntoIterator<Item = LoopMeasurement>) -> Vec<bool> {
         let mut verifier = LoopVerifier::default();
         measurements.into_iter().map(|measurement| verifier.accepts(&measurement)).collect()
+    }
+
+    #[test]
+    fn the_search_is_as_wide_as_the_drift_is_uncertain() {
+        let of = |variances: [f64; 3]| window(&PoseCovariance::from_diagonal(&variances.into()));
+        let (narrow, unknown) = (of([0.09, 0.16, 1e-4]), of([1e3, 1e3, 10.0]));
+        assert!((narrow.distance - 1.5).abs() < 1e-9 && (narrow.angle - 0.03).abs() < 1e-9, "{narrow:?}");
+        assert_eq!((unknown.distance, unknown.angle), MAX_SEARCH);
     }
 
     #[test]

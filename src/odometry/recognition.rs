@@ -39,7 +39,7 @@ impl LaserOdometry {
         let (path_pose, view) = self.map.last()?;
         self.matcher.set_views(&self.views);
         let pose = candidate.map_from_laser.between(&path_pose);
-        let guess = FirstGuess { pose, prior: None, window: loop_closure::window(self.map.drift_length(candidate)) };
+        let guess = FirstGuess { pose, prior: None, window: loop_closure::window(&self.map.drift_covariance(candidate)) };
         let mut refinement = self.matcher.begin(view.scan(), guess);
         if runner.run(&mut refinement) == StopReason::Interrupted {
             return None;
