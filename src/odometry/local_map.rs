@@ -197,9 +197,14 @@ impl LocalMap {
         self.links.push(Link { later: self.path_length(), earlier: candidate.path_length });
     }
 
-    /// Path length at which the drift began, m: at the candidate, or where earlier keyframes last anchored the path.
+    /// Length of the path that has drifted: since the candidate, or since earlier keyframes last anchored the path, m.
+    fn drift_length(&self, candidate: &LoopCandidate) -> f64 {
+        self.path_length() - candidate.path_length.max(self.anchored_until)
+    }
+
+    /// Path length at which the drift began, m.
     fn drift_start(&self, candidate: &LoopCandidate) -> f64 {
-        candidate.path_length.max(self.anchored_until)
+        self.path_length() - self.drift_length(candidate)
     }
 
     /// Covariance of the drift, in the map frame.
