@@ -163,7 +163,7 @@ impl Estimate {
     pub fn conditions(&self) -> Option<Conditions> {
         let report = self.registration.refinement.as_ref()?;
         Some(Conditions {
-            agreement: f64::from(report.inliers) / f64::from(report.rays_used.max(1)),
+            agreement: f64::from(report.last.inliers) / f64::from(report.last.rays.max(1)),
             rays: f64::from(report.rays),
             condition_number: report.condition_number,
         })
@@ -462,7 +462,7 @@ impl ScanProcessor for App {
     }
 
     fn conclude(&mut self, estimate: &mut Estimate) {
-        let size = estimate.registration.refinement.as_ref().map(|report| report.rays_used as usize);
+        let size = estimate.registration.refinement.as_ref().map(|report| report.last.rays as usize);
         estimate.elapsed = self.intake.conclude(estimate.arrival, estimate.refined, size);
         self.counters.deadline_misses += u64::from(!estimate.deadline_met());
         if let (Some(watch), Some(conditions)) = (&mut self.watch, estimate.conditions()) {

@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
+use super::first_guess::FirstGuess;
 use super::ray_order::RayOrder;
-use super::solver::{Metric, QuadraticForm};
+use super::solver::QuadraticForm;
+use super::uncertainty::Uncertainty;
 use super::view::View;
-use super::{FirstGuess, Uncertainty};
 use crate::geometry::{Point, Pose2};
 use crate::scan::Scan;
 
@@ -75,20 +76,17 @@ pub(super) trait DataAssociation: Send {
     /// Sets the sensed scan.
     fn set_sensed(&mut self, scan: &Scan);
 
-    /// Selects the rays to use from now on.
-    fn select_rays(&mut self, order: RayOrder);
-
-    /// Uses at most this many views from now on, the first ones.
-    fn limit_views(&mut self, _at_most: usize) {}
+    /// Selects the rays to use from now on, and the maximum number of views, the first ones.
+    fn select_rays(&mut self, order: RayOrder, max_views: usize);
 
     /// Number of selected rays.
     fn ray_count(&self) -> usize;
 
     /// Finds the correspondences of the selected rays at `pose`; `None` without a reference.
-    fn find_correspondences(&mut self, pose: &Pose2, metric: Metric) -> Option<Correspondences>;
+    fn find_correspondences(&mut self, pose: &Pose2) -> Option<Correspondences>;
 
     /// Uncertainty of `pose` from the last correspondences.
-    fn uncertainty(&mut self, pose: &Pose2, metric: Metric) -> Uncertainty;
+    fn uncertainty(&mut self, pose: &Pose2) -> Uncertainty;
 
     /// Agreement of the scans at the last pose; `None` if it would not tell a correct pose from a wrong one.
     fn agreement(&self) -> Option<Agreement> {

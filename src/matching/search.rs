@@ -5,7 +5,8 @@
 //! rays agree with is refined with all rays, and accepted if clearly more rays agree than before.
 
 use super::data_association::{Agreement, DataAssociation};
-use super::{FirstGuess, SearchWindow, StopReason};
+use super::first_guess::{FirstGuess, SearchWindow};
+use super::stop_reason::StopReason;
 use crate::geometry::Pose2;
 
 /// Distance between neighbouring starts in x and y, m.
@@ -44,7 +45,6 @@ pub(super) struct TrackingResult {
 pub(super) struct MultiStartSearch {
     starts: Vec<Pose2>,
     scores: Vec<(u32, usize)>,
-    is_scored: bool,
     /// Starts that remain to be refined.
     candidates: Vec<Pose2>,
     best: Option<(Pose2, Agreement)>,
@@ -53,7 +53,6 @@ pub(super) struct MultiStartSearch {
 impl MultiStartSearch {
     pub(super) fn begin(&mut self, guess: &FirstGuess) {
         self.best = None;
-        self.is_scored = false;
         self.scores.clear();
         self.starts.clear();
         let SearchWindow { distance, angle, .. } = guess.window;
@@ -67,14 +66,13 @@ impl MultiStartSearch {
 
     /// Scores some more starts, and selects the best when all are scored. Returns whether there was anything left to score.
     pub(super) fn score_some(&mut self, association: &dyn DataAssociation) -> bool {
-        if self.is_scored {
+        let done = self.scores.len();
+        if done == self.starts.len() {
             return false;
         }
-        let done = self.scores.len();
         let next = self.starts[done..].iter().take(SCORES_PER_STEP).enumerate();
         self.scores.extend(next.map(|(i, start)| (association.score(start), done + i)));
         if self.scores.len() == self.starts.len() {
-            self.is_scored = true;
             self.select_best();
         }
         true

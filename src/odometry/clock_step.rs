@@ -2,8 +2,9 @@
 
 use super::LaserOdometry;
 use super::keyframe_pose::KeyframePose;
-use super::match_problem::{AGREEMENT_VARIATION, MatchProblem, PreviousEstimate};
-use super::pose_estimate::MatchResult;
+use super::match_problem::{AGREEMENT_VARIATION, MatchProblem};
+use super::match_scan::MatchResult;
+use super::previous_estimate::PreviousEstimate;
 use crate::anytime::ContractRunner;
 use crate::matching::StopReason;
 use crate::scan::Scan;

@@ -2,7 +2,7 @@
 //! two is wrong: moving people around the robot can drag a match along, and wheels can slip.
 
 use super::prediction::Prediction;
-use super::source_noise::{SourceNoise, innovation, normalized_innovation};
+use super::source_noise::{SourceNoise, normalized_innovation};
 use super::uncertainty::rotated;
 use crate::geometry::{Pose2, PoseCovariance};
 
@@ -35,7 +35,7 @@ impl Inconsistency {
         // Differences within one standard deviation are consistent; beyond that the weight grows with the difference.
         let deviation = normalized_innovation(predicted, measured);
         let weight = 1.0 - deviation.max(1.0).powi(-2);
-        let difference = innovation(predicted, measured);
+        let difference = predicted.motion.difference(measured);
         let covariance = self.covariance + rotated(&(weight * difference * difference.transpose()), heading);
         Self { covariance, is_contradiction: deviation > CONTRADICTION_GATE, ..self }
     }
@@ -46,13 +46,11 @@ mod tests {
     use std::f64::consts::FRAC_PI_2;
 
     use super::*;
-    use crate::odometry::uncertainty::wheel_covariance;
 
     /// The inconsistency of a match that moved by `measured` m since a keyframe that faces north, while odometry moved by
     /// `predicted` m.
     fn inconsistency(predicted: f64, measured: f64) -> Inconsistency {
-        let motion = Pose2::new(predicted, 0.0, 0.0);
-        let predicted = Prediction { motion, covariance: wheel_covariance(&motion, 0.1) };
+        let predicted = Prediction::by_wheels(Pose2::new(predicted, 0.0, 0.0), 0.1);
         let measured = Pose2::new(measured, 0.0, 0.0);
         Inconsistency::of_step(SourceNoise::default(), Some(&predicted), &measured).and_against(&predicted, &measured, FRAC_PI_2)
     }

@@ -1,24 +1,62 @@
-//! Predicts the motion to a scan, and learns from its match how accurate each source of the prediction is.
+//! Takes the messages of all sources of motion, predicts the motion to a scan, and learns from its match how accurate each source of the prediction is.
 
-use super::match_problem::{MatchProblem, PreviousEstimate};
-use super::pose_estimate::MatchResult;
+use super::heading::HeadingReading;
+use super::match_problem::MatchProblem;
+use super::match_scan::MatchResult;
 use super::prediction::Prediction;
+use super::previous_estimate::PreviousEstimate;
 use super::registration::RejectedSources;
-use super::{LaserOdometry, source_noise, uncertainty};
-use crate::geometry::{Pose2, wrap_angle};
+use super::wheel::{WheelEvent, WheelSample};
+use super::{LaserOdometry, source_noise};
+use crate::geometry::{Pose2, Twist2, wrap_angle};
 use crate::time::Stamp;
 
 impl LaserOdometry {
+    /// Adds a message of wheel odometry.
+    pub fn add_wheel_sample(&mut self, sample: WheelSample) {
+        self.odometry_wait_timed_out = false;
+        match self.sources.push(sample) {
+            WheelEvent::Appended => {}
+            WheelEvent::TimeJump { is_continuous } => self.stamps.odometry_went_back(is_continuous),
+            WheelEvent::Duplicate => self.counters.duplicate_odometry += 1,
+            WheelEvent::Reset => self.counters.odometry_resets += 1,
+        }
+    }
+
+    /// Adds an IMU reading.
+    pub fn add_imu_reading(&mut self, reading: HeadingReading) {
+        self.odometry_wait_timed_out = false;
+        self.sources.heading.push(reading);
+    }
+
+    /// Adds the pose of the base by another node's transforms.
+    pub fn add_transform_sample(&mut self, sample: WheelSample) {
+        self.odometry_wait_timed_out = false;
+        self.sources.transforms.push(sample);
+    }
+
+    /// Sets the current velocity of the base.
+    pub fn set_velocity(&mut self, twist: Twist2) {
+        if let Some(previous) = self.previous {
+            self.sources.velocity = Some((previous.stamp, twist));
+        }
+    }
+
+    /// Whether a scan of this stamp should wait for the next odometry message.
+    pub fn awaits_odometry(&self, stamp: Stamp) -> bool {
+        !self.odometry_wait_timed_out && self.sources.is_behind(stamp)
+    }
+
     /// Predicts the pose of a scan taken at `stamp`. Fuses constant velocity with odometry, each weighted by how accurate it has
     /// been lately.
     pub(super) fn match_problem(&mut self, previous: &PreviousEstimate, stamp: Stamp, base_from_laser: &Pose2) -> MatchProblem {
         let awaits_odometry = self.awaits_odometry(stamp);
         self.odometry_wait_timed_out = self.sources.is_behind(stamp);
         let constant_velocity = previous.motion.predict(stamp.seconds_since(previous.stamp)).prediction();
-        let odometry = self.sources.motion_without_imu(previous.stamp, stamp);
         // If stamps jitter, the scan period may be longer than the stamps suggest.
         let seconds = stamp.seconds_since(previous.stamp).max(self.typical_period);
-        let odometry = odometry.map(|motion| Prediction { motion, covariance: uncertainty::wheel_covariance(&motion, seconds) });
+        let odometry = self.sources.motion_without_imu(previous.stamp, stamp);
+        let odometry = odometry.map(|motion| Prediction::by_wheels(motion, seconds));
         let imu_rotation = self.sources.imu_rotation(previous.stamp, stamp);
         self.count_rejected(odometry.is_some(), imu_rotation.is_some());
         // Without odometry there is nothing better than the velocity, even if it was wrong: a kidnapped robot drives on. So only
@@ -30,7 +68,7 @@ impl LaserOdometry {
             odometry.checked_against(&constant_velocity, &typical).fused_with(&constant_velocity)
         };
         let prediction = odometry.map_or(constant_velocity, fused);
-        self.sources.set_imu_rejected(self.noise.imu.is_rejected());
+        self.sources.imu_rejected = self.noise.imu.is_rejected();
         let prediction = self.sources.with_imu_heading(&prediction, previous.stamp, stamp);
         MatchProblem {
             previous: *previous,

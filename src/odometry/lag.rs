@@ -30,22 +30,16 @@ const ROTATION_MEMORY: f64 = 60.0;
 /// Maximum number of motions that wait for odometry.
 const MAX_PENDING: usize = 32;
 
-/// Motion of the robot by the matches.
-#[derive(Clone, Copy, Debug)]
-struct MatchedMotion {
-    from: Stamp,
-    to: Stamp,
-    motion: Pose2,
-}
-
 /// Estimates the lag.
 #[derive(Clone, Debug)]
 pub(super) struct LagEstimator {
     /// Sum of squared normalized errors for each lag.
     costs: [f64; LAG_COUNT],
     seconds: f64,
+    /// Stamp and pose that the next motion starts from.
     start: Option<(Stamp, Pose2)>,
-    pending: VecDeque<MatchedMotion>,
+    /// Starts and ends of motions by the matches that wait for odometry: stamp and pose.
+    pending: VecDeque<[(Stamp, Pose2); 2]>,
 }
 
 impl Default for LagEstimator {
@@ -75,7 +69,7 @@ impl LagEstimator {
             if self.pending.len() == MAX_PENDING {
                 self.pending.pop_front();
             }
-            self.pending.push_back(MatchedMotion { from, to: stamp, motion: before.between(&pose) });
+            self.pending.push_back([(from, before), (stamp, pose)]);
         }
         self.compare(odometry);
     }
@@ -83,25 +77,26 @@ impl LagEstimator {
     /// Compares the pending motions for which odometry has arrived at all lags of the grid.
     fn compare(&mut self, odometry: &WheelOdometry) {
         let Some(last) = odometry.last_stamp() else { return };
-        while let Some(matched) = self.pending.front().copied()
-            && matched.to.offset_by(-lag(0)) <= last
+        while let Some(&[start, end]) = self.pending.front()
+            && end.0.offset_by(-lag(0)) <= last
         {
             self.pending.pop_front();
-            self.accumulate(&matched, odometry);
+            self.accumulate(start, end, odometry);
         }
     }
 
-    fn accumulate(&mut self, matched: &MatchedMotion, odometry: &WheelOdometry) {
-        let variance = uncertainty::wheel_covariance(&matched.motion, matched.to.seconds_since(matched.from)).m33;
+    fn accumulate(&mut self, (from, start): (Stamp, Pose2), (to, end): (Stamp, Pose2), odometry: &WheelOdometry) {
+        let matched = start.between(&end);
+        let variance = uncertainty::wheel_covariance(&matched, to.seconds_since(from)).m33;
         let cost = |i: usize| {
-            let motion = odometry.motion(matched.from.offset_by(-lag(i)), matched.to.offset_by(-lag(i)))?;
-            let error = wrap_angle(motion.theta - matched.motion.theta);
+            let motion = odometry.motion(from.offset_by(-lag(i)), to.offset_by(-lag(i)))?;
+            let error = wrap_angle(motion.theta - matched.theta);
             Some((error * error / variance).min(MAX_ERROR * MAX_ERROR))
         };
         if cost(LAG_COUNT - 1).is_none() {
             return;
         }
-        let decay = (-matched.motion.theta.abs() / ROTATION_MEMORY).exp();
+        let decay = (-matched.theta.abs() / ROTATION_MEMORY).exp();
         for (i, sum) in self.costs.iter_mut().enumerate() {
             *sum = decay * *sum + cost(i).unwrap_or(MAX_ERROR * MAX_ERROR);
         }

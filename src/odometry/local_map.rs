@@ -9,7 +9,6 @@ use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use super::keyframe_pose::KeyframePose;
-use super::scale_error::ScaleJacobian;
 use super::{drift, uncertainty};
 use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::{COARSE_VIEWS, PlacedView, View};
@@ -33,29 +32,10 @@ const LOST_LENGTH: f64 = 2.0 * MAX_CONNECTED_LENGTH;
 
 /// A scan that others are matched to.
 #[derive(Clone, Debug)]
-struct Keyframe {
-    pose: KeyframePose,
-    view: Arc<View>,
+pub(super) struct Keyframe {
+    pub(super) pose: KeyframePose,
+    pub(super) view: Arc<View>,
     /// Path length from the first keyframe to this one, m.
-    path_length: f64,
-}
-
-/// A loop closure: two path lengths that belong to the same place.
-#[derive(Clone, Copy, Debug)]
-struct Link {
-    later: f64,
-    earlier: f64,
-}
-
-/// Loop closure candidate: earlier keyframes that have not been linked yet.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct LoopCandidate {
-    /// Pose of the laser at the first of them.
-    pub(super) map_from_laser: Pose2,
-    /// Covariance of that pose, in the map frame.
-    pub(super) covariance: PoseCovariance,
-    /// How the scale error of the odometry moves it.
-    pub(super) by_scale: ScaleJacobian,
     path_length: f64,
 }
 
@@ -63,21 +43,18 @@ pub(super) struct LoopCandidate {
 #[derive(Clone, Debug, Default)]
 pub(super) struct LocalMap {
     keyframes: VecDeque<Keyframe>,
-    links: Vec<Link>,
+    /// Loop closures: two path lengths that belong to the same place.
+    links: Vec<[f64; 2]>,
     /// Path lengths of the keyframes that scans are matched to.
     matched: Vec<f64>,
-    /// Path length ranges connected with those keyframes; kept to reuse the allocation.
-    connected: Vec<RangeInclusive<f64>>,
     /// Path length up to which earlier keyframes kept the path from drifting, m.
     anchored_until: f64,
-    /// View distance and index of the keyframes near a pose; kept to reuse the allocation.
-    near: Vec<(f64, usize)>,
 }
 
 impl LocalMap {
     /// Forgets everything.
     pub(super) fn clear(&mut self) {
-        *self = Self { near: std::mem::take(&mut self.near), ..Self::default() };
+        *self = Self::default();
     }
 
     /// Adds a keyframe, and drops others if there are more than `max_keyframes`. `is_lost`: the motion from the previous keyframe
@@ -116,7 +93,7 @@ impl LocalMap {
             let next = keyframes.partition_point(|keyframe| keyframe.path_length < place - MAX_CONNECTED_LENGTH);
             keyframes.get(next).is_some_and(|keyframe| keyframe.path_length <= place + MAX_CONNECTED_LENGTH)
         };
-        self.links.retain(|link| is_remembered(link.earlier) && is_remembered(link.later));
+        self.links.retain(|link| link.iter().all(|&place| is_remembered(place)));
     }
 
     /// Removes surfaces that have moved since: surfaces of the matched keyframes that the latest keyframe saw through, and vice
@@ -130,9 +107,9 @@ impl LocalMap {
         }
     }
 
-    /// The latest keyframe: pose of its laser, and its view.
-    pub(super) fn last(&self) -> Option<(Pose2, &Arc<View>)> {
-        self.keyframes.back().map(|keyframe| (keyframe.pose.map_from_laser, &keyframe.view))
+    /// The latest keyframe.
+    pub(super) fn last(&self) -> Option<&Keyframe> {
+        self.keyframes.back()
     }
 
     /// Selects up to `count` keyframes that overlap with what is seen from a pose, the nearest ones and some farther away, and
@@ -145,45 +122,34 @@ impl LocalMap {
         count: usize,
         views: &mut Vec<PlacedView>,
     ) -> Option<KeyframePose> {
-        let last = self.keyframes.len().checked_sub(1)?;
-        let now = self.path_length();
-        self.collect_near(map_from_laser, |map, keyframe| {
-            let is_seen =
-                scan.is_none_or(|scan| scan.shares_view_with(keyframe.view.scan(), keyframe.pose.heading_from(map_from_laser)));
-            is_seen && (keyframe.path_length >= now || map.is_connected(keyframe.path_length))
+        let (last, now) = (self.last()?, self.path_length());
+        let mut near = self.near(map_from_laser, |keyframe, is_connected| {
+            let heading = keyframe.pose.heading_from(map_from_laser);
+            let is_seen = scan.is_none_or(|scan| scan.shares_view_with(keyframe.view.scan(), heading));
+            is_seen && (keyframe.path_length >= now || is_connected)
         });
-        if self.near.is_empty() {
-            self.near.push((MAX_VIEW_DISTANCE, last));
+        if near.is_empty() {
+            near.push((MAX_VIEW_DISTANCE, last));
         }
-        self.thin_out(count);
-        self.matched.clear();
-        self.matched.extend(self.near.iter().map(|&(_, i)| self.keyframes[i].path_length));
+        thin_out(&mut near, count);
+        write_views(&near, views);
+        let reference = near.first().map(|(_, first)| first.pose);
+        self.matched = near.iter().map(|(_, keyframe)| keyframe.path_length).collect();
         if !self.is_exploring() {
             self.anchored_until = now;
         }
-        self.write_views(views);
-        Some(self.keyframes[self.near.first()?.1].pose)
+        reference
     }
 
     /// Selects up to `count` keyframes near a pose that are not connected with the matched ones, because the drift between them
-    /// is unknown.
-    pub(super) fn loop_candidate(
-        &mut self,
-        map_from_laser: &Pose2,
-        count: usize,
-        views: &mut Vec<PlacedView>,
-    ) -> Option<LoopCandidate> {
-        self.collect_near(map_from_laser, |map, keyframe| !map.is_connected(keyframe.path_length));
-        let &Keyframe { pose: KeyframePose { map_from_laser, covariance, by_scale, .. }, path_length, .. } =
-            &self.keyframes[self.near.first()?.1];
-        let mut near = std::mem::take(&mut self.near);
-        near.retain(|&(_, i)| {
-            self.connected_stretches(path_length).any(|stretch| stretch.contains(&self.keyframes[i].path_length))
-        });
+    /// is unknown, and writes them to `views` in the frame of the first one, which it returns: a candidate for a loop closure.
+    pub(super) fn loop_candidate(&self, map_from_laser: &Pose2, count: usize, views: &mut Vec<PlacedView>) -> Option<Keyframe> {
+        let mut near = self.near(map_from_laser, |_, is_connected| !is_connected);
+        let (_, first) = *near.first()?;
+        near.retain(|(_, keyframe)| is_within(self.connected_stretches(first.path_length), keyframe.path_length));
         near.truncate(count);
-        self.near = near;
-        self.write_views(views);
-        Some(LoopCandidate { map_from_laser, covariance, by_scale, path_length })
+        write_views(&near, views);
+        Some(first.clone())
     }
 
     /// Whether scans are matched only to recent keyframes, so that the path drifts.
@@ -193,22 +159,22 @@ impl LocalMap {
     }
 
     /// Links the latest keyframe with the candidate.
-    pub(super) fn link(&mut self, candidate: &LoopCandidate) {
-        self.links.push(Link { later: self.path_length(), earlier: candidate.path_length });
+    pub(super) fn link(&mut self, candidate: &Keyframe) {
+        self.links.push([self.path_length(), candidate.path_length]);
     }
 
     /// Length of the path that has drifted: since the candidate, or since earlier keyframes last anchored the path, m.
-    fn drift_length(&self, candidate: &LoopCandidate) -> f64 {
+    fn drift_length(&self, candidate: &Keyframe) -> f64 {
         self.path_length() - candidate.path_length.max(self.anchored_until)
     }
 
     /// Path length at which the drift began, m.
-    fn drift_start(&self, candidate: &LoopCandidate) -> f64 {
+    fn drift_start(&self, candidate: &Keyframe) -> f64 {
         self.path_length() - self.drift_length(candidate)
     }
 
     /// Covariance of the drift, in the map frame.
-    pub(super) fn drift_covariance(&self, candidate: &LoopCandidate) -> PoseCovariance {
+    pub(super) fn drift_covariance(&self, candidate: &Keyframe) -> PoseCovariance {
         let start = self.drift_start(candidate);
         drift::end_covariance(
             self.keyframes.iter().filter(|keyframe| keyframe.path_length > start).map(|keyframe| &keyframe.pose),
@@ -217,7 +183,7 @@ impl LocalMap {
 
     /// Corrects the part of the path that has drifted: the latest keyframe was taken at `map_from_laser`, and the correction is
     /// distributed over the steps by their uncertainty.
-    pub(super) fn correct(&mut self, candidate: &LoopCandidate, map_from_laser: &Pose2) {
+    pub(super) fn correct(&mut self, candidate: &Keyframe, map_from_laser: &Pose2) {
         let start = self.drift_start(candidate);
         let drifted = self.keyframes.iter_mut().filter(|keyframe| keyframe.path_length > start);
         drift::correct(drifted.map(|keyframe| &mut keyframe.pose), map_from_laser);
@@ -228,22 +194,10 @@ impl LocalMap {
         self.keyframes.back().map_or(0.0, |keyframe| keyframe.path_length)
     }
 
-    fn is_connected(&self, path_length: f64) -> bool {
-        self.connected.iter().any(|stretch| stretch.contains(&path_length))
-    }
-
-    /// Updates the path length ranges that are connected with the matched keyframes.
-    fn update_connected(&mut self) {
-        let mut connected = std::mem::take(&mut self.connected);
-        connected.clear();
-        connected.extend(self.matched.iter().flat_map(|&path_length| self.connected_stretches(path_length)));
-        self.connected = connected;
-    }
-
     /// Path length ranges within [`MAX_CONNECTED_LENGTH`] of a place on the path, along the path or across a link.
     fn connected_stretches(&self, path_length: f64) -> impl Iterator<Item = RangeInclusive<f64>> {
         let around = |path_length: f64, reach: f64| (path_length - reach)..=(path_length + reach);
-        let linked = self.links.iter().flat_map(|&Link { later, earlier }| [(later, earlier), (earlier, later)]);
+        let linked = self.links.iter().flat_map(|&[later, earlier]| [(later, earlier), (earlier, later)]);
         let linked = linked.filter_map(move |(near, far)| {
             let rest = MAX_CONNECTED_LENGTH - (path_length - near).abs();
             (rest >= 0.0).then(|| around(far, rest))
@@ -251,61 +205,63 @@ impl LocalMap {
         std::iter::once(around(path_length, MAX_CONNECTED_LENGTH)).chain(linked)
     }
 
-    /// Collects the keyframes near a pose that `admits` accepts, by increasing view distance.
-    fn collect_near(&mut self, map_from_laser: &Pose2, admits: impl Fn(&Self, &Keyframe) -> bool) {
-        self.update_connected();
-        let mut near = std::mem::take(&mut self.near);
-        near.clear();
+    /// The keyframes near a pose that `admits` accepts, by increasing view distance, with that distance, m. `admits` is told whether
+    /// a keyframe is connected with the matched ones.
+    fn near(&self, map_from_laser: &Pose2, admits: impl Fn(&Keyframe, bool) -> bool) -> Vec<(f64, &Keyframe)> {
+        let connected: Vec<_> = self.matched.iter().flat_map(|&matched| self.connected_stretches(matched)).collect();
         let position = map_from_laser.translation();
-        for (i, keyframe) in self.keyframes.iter().enumerate() {
-            let pose = &keyframe.pose.map_from_laser;
-            if (pose.translation() - position).norm_squared() > MAX_VIEW_DISTANCE * MAX_VIEW_DISTANCE {
-                continue; // most keyframes, without any trigonometry
-            }
-            let difference = map_from_laser.between(pose).magnitude();
-            if difference <= MAX_VIEW_DISTANCE && admits(self, keyframe) {
-                near.push((difference, i));
-            }
-        }
-        near.sort_by(|a, b| a.0.total_cmp(&b.0));
-        self.near = near;
-    }
-
-    /// Keeps `count` of the collected keyframes: the nearest ones, then others of the same visit at increasing distances.
-    fn thin_out(&mut self, count: usize) {
-        let Some(&(_, first)) = self.near.first() else { return };
-        let (keyframes, path_length) = (&self.keyframes, self.keyframes[first].path_length);
-        let (mut kept, mut farthest) = (0, 0.0);
-        self.near.retain(|&(difference, i)| {
-            let is_of_visit = (keyframes[i].path_length - path_length).abs() <= MAX_CONNECTED_LENGTH;
-            let is_chosen = kept < NEAREST_VIEWS || (difference >= farthest + MIN_SPACING && is_of_visit);
-            let is_kept = kept < count && is_chosen;
-            if is_kept {
-                (kept, farthest) = (kept + 1, difference);
-            }
-            is_kept
+        // Excludes most keyframes without any trigonometry.
+        let is_around = |keyframe: &&Keyframe| {
+            let offset = keyframe.pose.map_from_laser.translation() - position;
+            offset.norm_squared() <= MAX_VIEW_DISTANCE * MAX_VIEW_DISTANCE
+        };
+        let around = self.keyframes.iter().filter(is_around);
+        let mut near: Vec<_> =
+            around.map(|keyframe| (map_from_laser.between(&keyframe.pose.map_from_laser).magnitude(), keyframe)).collect();
+        near.retain(|(difference, keyframe)| {
+            *difference <= MAX_VIEW_DISTANCE && admits(keyframe, is_within(connected.iter().cloned(), keyframe.path_length))
         });
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        near
     }
+}
 
-    /// Writes the collected keyframes as views in the frame of the first one's laser.
-    fn write_views(&self, views: &mut Vec<PlacedView>) {
-        views.clear();
-        let Some(&(_, first)) = self.near.first() else { return };
-        let first = self.keyframes[first].pose.map_from_laser;
-        views.extend(self.near.iter().map(|&(_, i)| {
-            let Keyframe { pose, view, .. } = &self.keyframes[i];
-            PlacedView { reference_from_view: first.between(&pose.map_from_laser), view: Arc::clone(view) }
-        }));
-    }
+/// Whether a place on the path is within some of these stretches of it.
+fn is_within(mut stretches: impl Iterator<Item = RangeInclusive<f64>>, path_length: f64) -> bool {
+    stretches.any(|stretch| stretch.contains(&path_length))
+}
+
+/// Keeps `count` of the keyframes: the nearest ones, then others of the same visit at increasing distances.
+fn thin_out(near: &mut Vec<(f64, &Keyframe)>, count: usize) {
+    let Some(&(_, first)) = near.first() else { return };
+    let (mut kept, mut farthest) = (0, 0.0);
+    near.retain(|&(difference, keyframe)| {
+        let is_of_visit = (keyframe.path_length - first.path_length).abs() <= MAX_CONNECTED_LENGTH;
+        let is_chosen = kept < NEAREST_VIEWS || (difference >= farthest + MIN_SPACING && is_of_visit);
+        let is_kept = kept < count && is_chosen;
+        if is_kept {
+            (kept, farthest) = (kept + 1, difference);
+        }
+        is_kept
+    });
+}
+
+/// Writes keyframes as views in the frame of the first one's laser.
+fn write_views(near: &[(f64, &Keyframe)], views: &mut Vec<PlacedView>) {
+    views.clear();
+    views.extend(near.iter().map(|(_, Keyframe { pose, view, .. })| {
+        let reference_from_view = near[0].1.pose.map_from_laser.between(&pose.map_from_laser);
+        PlacedView { reference_from_view, view: Arc::clone(view) }
+    }));
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::PoseCovariance;
     use crate::matching::classic::rejection::RejectionKnobs;
     use crate::matching::{Matcher, MatchingKnobs};
-    use crate::scan::{BeamGeometry, Scan};
+    use crate::odometry::scale_error::ScaleJacobian;
+    use crate::scan::BeamGeometry;
     use crate::time::Stamp;
 
     /// A map with keyframes at these poses, each matched to before the next one was added.
@@ -362,7 +318,7 @@ mod tests {
     #[test]
     fn a_long_path_is_remembered_from_its_start_in_less_detail() {
         let line: Vec<_> = (0..=200).map(|x| (f64::from(x), 0.0)).collect();
-        let (all, mut few) = (map(&line, 1000), map(&line, 60));
+        let (all, few) = (map(&line, 1000), map(&line, 60));
         let x = |keyframe: &Keyframe| keyframe.pose.map_from_laser.x;
         let kept: Vec<f64> = few.keyframes.iter().map(x).collect();
         assert_eq!((kept.len(), kept[0]), (60, 0.0));
@@ -380,7 +336,7 @@ mod tests {
         assert_eq!(around(&mut map, (0.9, 0.3), 2), [(1.0, 0.5), (0.0, 0.5)]);
         let mut views = Vec::new();
         let candidate = map.loop_candidate(&Pose2::new(0.9, 0.2, 0.0), 2, &mut views).unwrap();
-        assert_eq!((candidate.map_from_laser, views.len()), (Pose2::new(1.0, 0.0, 0.0), 2));
+        assert_eq!((candidate.pose.map_from_laser, views.len()), (Pose2::new(1.0, 0.0, 0.0), 2));
         map.link(&candidate);
         assert_eq!(around(&mut map, (0.9, 0.2), 2), [(1.0, 0.0), (1.0, 0.5)]);
         assert!(!map.is_exploring());

@@ -1,52 +1,17 @@
 //! The problem of matching one scan: the prediction of its pose, and the estimate it starts from.
 
 use super::keyframe_pose::KeyframePose;
-use super::motion_state::MotionState;
 use super::prediction::Prediction;
+use super::previous_estimate::PreviousEstimate;
 use super::scale_error::ScaleJacobian;
 use super::uncertainty;
-use crate::geometry::{Pose2, PoseCovariance, Twist2};
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::matching::{Prior, SearchWindow};
-use crate::time::Stamp;
 
 /// Typical variation of the agreement from one scan to the next.
 pub(super) const AGREEMENT_VARIATION: f64 = 0.05;
 /// The heading is searched by this many times the predicted rotation to either side.
 const SEARCHED_ROTATION_FRACTION: f64 = 1.2;
-
-/// The estimate of the previous scan.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct PreviousEstimate {
-    pub(super) stamp: Stamp,
-    pub(super) map_from_base: Pose2,
-    pub(super) map_from_laser: Pose2,
-    pub(super) covariance: PoseCovariance,
-    /// How the scale error of the odometry, which is not in that covariance, moves the base.
-    pub(super) by_scale: ScaleJacobian,
-    /// Covariance relative to the keyframe it was matched to, along the axes of the base.
-    pub(super) covariance_to_keyframe: PoseCovariance,
-    /// Velocity from the estimate before to this one.
-    pub(super) measured_twist: Twist2,
-    /// The latest measured velocity that a robot can have driven. It is used to deskew scans: the filtered velocity, which is
-    /// that at the end of the step, overshoots, and a scan deskewed by too much would make it overshoot again.
-    pub(super) mean_twist: Twist2,
-    /// Filtered velocity and its uncertainty.
-    pub(super) motion: MotionState,
-    /// A later scan could not be matched and was skipped: the next scan still starts from this estimate.
-    pub(super) has_skipped_scan: bool,
-}
-
-impl PreviousEstimate {
-    /// Covariance of the base on the map, by all errors.
-    pub(super) fn total_covariance(&self) -> PoseCovariance {
-        self.covariance + self.by_scale.covariance()
-    }
-
-    /// Mounting pose of the laser that took the scan.
-    pub(super) fn base_from_laser(&self) -> Pose2 {
-        self.map_from_base.between(&self.map_from_laser)
-    }
-}
 
 /// A scan to be matched.
 #[derive(Clone, Copy)]

@@ -17,9 +17,11 @@ mod lag;
 mod local_map;
 mod loop_closure;
 mod match_problem;
+mod match_scan;
 mod motion_state;
 mod pose_estimate;
 mod prediction;
+mod previous_estimate;
 mod recent_path;
 mod recognition;
 mod registration;
@@ -30,6 +32,7 @@ pub mod sources;
 pub mod sweep;
 pub mod uncertainty;
 mod unmatched;
+mod update;
 pub mod wheel;
 
 use std::time::Duration;
@@ -38,45 +41,30 @@ use crate::anytime::clock::VirtualClock;
 use crate::anytime::contract::Contract;
 use crate::anytime::cost_model::CostModel;
 use crate::anytime::interrupt::NeverInterrupt;
-use crate::anytime::{ContractRunner, ErrorEstimate, ScanContract, estimated_error};
+use crate::anytime::{ContractRunner, ScanContract};
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::knobs::Seconds;
 use crate::matching::classic::rejection::RejectionKnobs;
-use crate::matching::{FirstGuess, IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
+use crate::matching::{IterationTrace, Matcher, MatchingKnobs, PlacedView, StopReason};
 use crate::scan::Scan;
-use crate::time::{Continuity, Stamp};
+use crate::time::Continuity;
 use crate::transforms::LaserPose;
 pub use counters::{OdometryCounters, counted_in_words};
-use heading::HeadingReading;
-use inconsistency::Inconsistency;
 use keyframe_pose::KeyframePose;
 use keyframes::{PendingKeyframe, is_same_mount};
 use local_map::LocalMap;
 use loop_closure::LoopVerifier;
-use match_problem::{MatchProblem, PreviousEstimate};
-use motion_state::MotionState;
-use pose_estimate::{MatchResult, PoseEstimate, check_match};
+use match_problem::MatchProblem;
+use previous_estimate::PreviousEstimate;
 use recent_path::RecentPath;
 pub use registration::{Failure, FailureReason, MatchedPoints, Outcome, RefinementReport, Registration, RejectedSources};
-use registration::{matched_points, report};
 use set_pose::SetPose;
 use source_noise::LearnedNoise;
 use sources::MotionSources;
 use sweep::Sweep;
-use wheel::{WheelEvent, WheelSample};
 
-/// Maximum deviation from the position at constant velocity that is not a jump, m, besides acceleration.
-const MAX_POSITION_JUMP: f64 = 0.04;
-/// Maximum deviation from the heading at constant angular velocity that is not a jump, rad, besides acceleration.
-const MAX_HEADING_JUMP: f64 = 0.04;
-/// Maximum linear acceleration of a robot, m/s^2.
-const MAX_ACCELERATION: f64 = 30.0;
-/// Maximum angular acceleration of a robot, rad/s^2.
-const MAX_ANGULAR_ACCELERATION: f64 = 100.0;
 /// Weight of the latest scan in the moving averages of agreement and scan period.
 const TYPICAL_WEIGHT: f64 = 0.05;
-/// Time constant of the smoothed velocity, s.
-const TYPICAL_TWIST_TIME: f64 = 0.1;
 
 crate::choices! {
     /// The reference that scans are matched to.
@@ -159,7 +147,7 @@ pub struct LaserOdometry {
     typical_period: f64,
     start_pose: Pose2,
     set_pose: Option<SetPose>,
-    /// Velocity smoothed over [`TYPICAL_TWIST_TIME`], so that a single jump of the pose has little effect.
+    /// Velocity smoothed over a tenth of a second, so that a single jump of the pose has little effect.
     typical_twist: Twist2,
     counters: OdometryCounters,
     keep_matched_points: bool,
@@ -247,7 +235,7 @@ impl LaserOdometry {
     /// Restarts at the initial pose and forgets all motion sources.
     pub fn reset(&mut self) {
         self.restart_at(self.knobs.initial_pose);
-        self.sources.clear();
+        self.sources = MotionSources::default();
     }
 
     /// Drops all keyframes, so that the next scan becomes the reference. For example, the mounting pose of the laser turned out
@@ -260,41 +248,6 @@ impl LaserOdometry {
         self.loop_verifier.reset();
         self.loop_check_pending = false;
         self.pending_keyframe = None;
-    }
-
-    /// Adds a message of wheel odometry.
-    pub fn add_wheel_sample(&mut self, sample: WheelSample) {
-        self.odometry_wait_timed_out = false;
-        match self.sources.push(sample) {
-            WheelEvent::Appended => {}
-            WheelEvent::TimeJump { is_continuous } => self.stamps.odometry_went_back(is_continuous),
-            WheelEvent::Duplicate => self.counters.duplicate_odometry += 1,
-            WheelEvent::Reset => self.counters.odometry_resets += 1,
-        }
-    }
-
-    /// Adds an IMU reading.
-    pub fn add_imu_reading(&mut self, reading: HeadingReading) {
-        self.odometry_wait_timed_out = false;
-        self.sources.push_imu_reading(reading);
-    }
-
-    /// Adds the pose of the base by another node's transforms.
-    pub fn add_transform_sample(&mut self, sample: WheelSample) {
-        self.odometry_wait_timed_out = false;
-        self.sources.push_transform(sample);
-    }
-
-    /// Sets the current velocity of the base.
-    pub fn set_velocity(&mut self, twist: Twist2) {
-        if let Some(previous) = self.previous {
-            self.sources.set_velocity(previous.stamp, twist);
-        }
-    }
-
-    /// Whether a scan of this stamp should wait for the next odometry message.
-    pub fn awaits_odometry(&self, stamp: Stamp) -> bool {
-        !self.odometry_wait_timed_out && self.sources.is_behind(stamp)
     }
 
     /// Registers a scan without a time limit: returns the pose of the base when it was taken. `base_from_laser` is the mounting
@@ -332,9 +285,7 @@ impl LaserOdometry {
     /// As [`Self::register`], but under a contract: returns the best pose when `runner` stops the refinement, out of time or
     /// within the error bound.
     pub fn register_within(&mut self, scan: &Scan, base_from_laser: &Pose2, runner: &mut ContractRunner) -> Registration {
-        self.maintain();
-        self.matched_points = None;
-        self.iterations.clear();
+        self.start_scan();
         if let Some(registration) = self.check_stamp(scan.stamp()) {
             return registration;
         }
@@ -346,11 +297,13 @@ impl LaserOdometry {
         let Some(previous) = self.previous else {
             return self.register_first(scan, base_from_laser, self.start_pose, PoseCovariance::zeros());
         };
+        // Predict.
         let mut problem = self.match_problem(&previous, scan.stamp(), base_from_laser);
         if self.keyframe.is_none() {
             let (map_from_base, covariance) = problem.predicted_base();
             return self.register_first(scan, base_from_laser, map_from_base, covariance);
         }
+        // Match.
         let Some(keyframe) = self.reference_for(scan, &problem) else {
             return self.register_without_overlap(scan, &problem);
         };
@@ -359,6 +312,7 @@ impl LaserOdometry {
         if let Some((corrected, refit)) = self.match_after_clock_step(&keyframe, scan, &problem, &result, runner) {
             (problem, result) = (corrected, refit);
         }
+        // Decide.
         let becomes_keyframe = self.needs_keyframe(&result.keyframe_from_laser);
         let worth_finishing = match result.report.stop_reason {
             StopReason::Budget | StopReason::Interrupted => true,
@@ -366,26 +320,28 @@ impl LaserOdometry {
             StopReason::ErrorBound => becomes_keyframe,
             _ => false,
         };
-        if !worth_finishing
-            && self.is_reference_refuted(&problem, &result, scan.stamp())
-            && let Some(registration) = self.replace_reference(scan, &problem, &result)
-        {
-            return registration;
-        }
         if worth_finishing {
             self.unfinished = Some((scan.clone(), problem, result.keyframe_from_laser));
+        } else if let Some(registration) = self.replace_refuted_reference(scan, &problem, &result) {
+            return registration;
         } else {
             self.update_noise(&problem, &result, scan.stamp());
         }
+        // Keep.
         match result.estimate {
             Ok(estimate) => self.commit(scan, base_from_laser, estimate, becomes_keyframe),
             Err(failure) => {
-                // If there was no time to match, or the scan is of another laser, the keyframe may still be good.
-                let no_time = result.report.iterations == 0 && !result.report.stop_reason.is_failure();
-                let is_lost = !no_time && is_same_mount(&keyframe.base_from_laser, base_from_laser);
-                self.register_prediction(scan, &problem, Some(result.report), failure, becomes_keyframe || !no_time, is_lost)
+                let is_same_laser = is_same_mount(&keyframe.base_from_laser, base_from_laser);
+                self.register_failed_match(scan, &problem, result.report, failure, becomes_keyframe, is_same_laser)
             }
         }
+    }
+
+    /// Forgets what belongs to the answer to the previous scan.
+    fn start_scan(&mut self) {
+        self.maintain();
+        self.matched_points = None;
+        self.iterations.clear();
     }
 
     /// The scan without the distortion by the motion during its sweep; `None` if there is none. The motion is that of the wheels,
@@ -403,8 +359,7 @@ impl LaserOdometry {
     pub fn finish(&mut self, runner: &mut ContractRunner) {
         let (Some((scan, problem, reached)), Some(keyframe)) = (self.unfinished.take(), self.keyframe) else { return };
         let result = self.match_scan(&keyframe, &scan, &problem, reached, runner);
-        if self.is_reference_refuted(&problem, &result, scan.stamp()) {
-            self.replace_reference(&scan, &problem, &result);
+        if self.replace_refuted_reference(&scan, &problem, &result).is_some() {
             return;
         }
         self.update_noise(&problem, &result, scan.stamp());
@@ -418,159 +373,4 @@ impl LaserOdometry {
             self.commit(&scan, &problem.base_from_laser, estimate, becomes_keyframe || was_keyframe);
         }
     }
-
-    /// Matches a scan to the keyframe, starting from the pose `start`.
-    fn match_scan(
-        &mut self,
-        keyframe: &KeyframePose,
-        scan: &Scan,
-        problem: &MatchProblem,
-        start: Pose2,
-        runner: &mut ContractRunner,
-    ) -> MatchResult {
-        let none = PoseCovariance::zeros();
-        let guess = FirstGuess {
-            pose: start,
-            prior: Some(problem.prior(keyframe, &none)),
-            window: problem.window(self.typical_agreement),
-        };
-        let mut refinement = self.matcher.begin(scan, guess);
-        let stop_reason = runner.run(&mut refinement);
-        self.iterations.clear();
-        self.iterations.extend_from_slice(refinement.trace());
-        let uncertainty = refinement.uncertainty();
-        let agreement = refinement.agreement();
-        if let Some(agreement) = agreement {
-            self.typical_agreement += TYPICAL_WEIGHT * (agreement - self.typical_agreement);
-        }
-        let keyframe_from_laser = refinement.pose();
-        let base_heading = keyframe_from_laser.theta - problem.base_from_laser.theta;
-        let report = report(&refinement, stop_reason, uncertainty.as_ref(), base_heading);
-        let match_covariance = uncertainty.and_then(|known| known.covariance);
-        let estimated_error = estimated_error(&refinement, match_covariance.as_ref());
-        if self.keep_matched_points {
-            self.matched_points = Some(matched_points(&refinement, &self.views, &keyframe.map_from_laser));
-        }
-        let map_from_laser = keyframe.map_from_laser * keyframe_from_laser;
-        let correction = problem.predicted_laser().between(&map_from_laser);
-        if let Some(failure) = check_match(&report, &correction, &self.knobs) {
-            return MatchResult { report, keyframe_from_laser, agreement, estimate: Err(failure) };
-        }
-        let correlated = uncertainty::correlated_rays(scan, report.rays_used);
-        let inconsistency = self.inconsistency(problem, &map_from_laser, scan.stamp());
-        let estimate =
-            PoseEstimate::matched(problem, keyframe, &keyframe_from_laser, uncertainty.as_ref(), correlated, &inconsistency);
-        MatchResult {
-            keyframe_from_laser,
-            agreement,
-            estimate: Ok(PoseEstimate { estimated_error, refinement: Some(report), ..estimate }),
-            report,
-        }
-    }
-
-    /// How far a match that puts the laser at `map_from_laser` is inconsistent with odometry and with how a robot can move.
-    fn inconsistency(&self, problem: &MatchProblem, map_from_laser: &Pose2, stamp: Stamp) -> Inconsistency {
-        let map_from_base = *map_from_laser * problem.base_from_laser.inverse();
-        let previous = &problem.previous.map_from_base;
-        let step = previous.between(&map_from_base);
-        let inconsistency = Inconsistency::of_step(self.noise.odometry, problem.odometry.as_ref(), &step).and_against(
-            &problem.constant_velocity,
-            &step,
-            previous.theta,
-        );
-        self.recent_path.check(inconsistency, &self.sources, stamp, &map_from_base)
-    }
-
-    /// A registration with this pose on the map, and nothing else known.
-    fn registration(&self, outcome: Outcome, map_from_base: Pose2, covariance: &PoseCovariance) -> Registration {
-        let odom_from_map = self.map_from_odom.inverse();
-        Registration {
-            outcome,
-            odom_from_base: odom_from_map * map_from_base,
-            map_from_odom: self.map_from_odom,
-            covariance: uncertainty::compound(&odom_from_map, &self.drift_covariance, &map_from_base, covariance),
-            twist: Twist2::default(),
-            twist_covariance: PoseCovariance::zeros(),
-            refinement: None,
-            predicted_error: ErrorEstimate::UNKNOWN,
-            estimated_error: ErrorEstimate::UNKNOWN,
-            rejected_sources: self.noise.rejected_sources(),
-            contradicts_odometry: false,
-            new_keyframe: false,
-        }
-    }
-
-    /// The velocity measured by the estimate for a scan taken at `stamp`, the updated motion state, and whether the robot can
-    /// have reached the pose by driving. A jump of the pose, as when the robot is kidnapped, is not a velocity unless the motion
-    /// continues at that velocity.
-    fn updated_motion(&self, stamp: Stamp, estimate: &PoseEstimate) -> (Twist2, MotionState, bool) {
-        let Some(previous) = self.previous else {
-            return (Twist2::default(), MotionState::unknown(&PoseCovariance::zeros()), true);
-        };
-        let seconds = stamp.seconds_since(previous.stamp);
-        let moved = previous.map_from_base.between(&estimate.map_from_base);
-        let measured = Twist2::from_motion(&moved, seconds);
-        let is_continuous =
-            [previous.motion.twist, previous.measured_twist].iter().any(|before| is_reachable(before, &measured, seconds));
-        let predicted = previous.motion.predict(seconds);
-        let motion = match &estimate.matched_covariance {
-            Some(known) if is_continuous => predicted.updated(&moved, known),
-            Some(known) => predicted.kidnapped(known),
-            None => predicted.without_measurement(),
-        };
-        (measured, motion, is_continuous)
-    }
-
-    /// Updates the state by the estimate of a scan and returns its registration.
-    fn commit(&mut self, scan: &Scan, base_from_laser: &Pose2, estimate: PoseEstimate, becomes_keyframe: bool) -> Registration {
-        let (measured_twist, motion, is_continuous) = self.updated_motion(scan.stamp(), &estimate);
-        let is_lost = estimate.is_lost || !is_continuous;
-        let mean_twist = self.previous.filter(|_| !is_continuous).map_or(measured_twist, |previous| previous.mean_twist);
-        let seconds = self.previous.map_or(0.0, |previous| scan.stamp().seconds_since(previous.stamp));
-        let weight = if self.typical_period > 0.0 { TYPICAL_WEIGHT } else { 1.0 };
-        self.typical_period += weight * (seconds - self.typical_period);
-        self.typical_twist = self.typical_twist.interpolate(&motion.twist, (seconds / TYPICAL_TWIST_TIME).clamp(0.0, 1.0));
-        let becomes_keyframe = becomes_keyframe || is_lost;
-        let map_from_laser = estimate.map_from_base * *base_from_laser;
-        if becomes_keyframe {
-            self.counters.keyframes += 1;
-            let covariance =
-                uncertainty::compound(&estimate.map_from_base, &estimate.covariance, base_from_laser, &PoseCovariance::zeros());
-            let (base_from_laser, step_covariance) = (*base_from_laser, estimate.step_covariance);
-            let by_scale = estimate.by_scale.at(map_from_laser.translation() - estimate.map_from_base.translation());
-            let pose = KeyframePose { map_from_laser, base_from_laser, covariance, by_scale, step_covariance };
-            self.pending_keyframe = Some(PendingKeyframe { scan: scan.clone(), pose, is_lost });
-        }
-        self.recent_path.push(scan.stamp(), estimate.map_from_base);
-        self.previous = Some(PreviousEstimate {
-            stamp: scan.stamp(),
-            map_from_base: estimate.map_from_base,
-            map_from_laser,
-            covariance: estimate.covariance,
-            by_scale: estimate.by_scale,
-            covariance_to_keyframe: if becomes_keyframe { PoseCovariance::zeros() } else { estimate.covariance_to_keyframe },
-            measured_twist,
-            mean_twist,
-            motion,
-            has_skipped_scan: false,
-        });
-        Registration {
-            twist: motion.twist,
-            twist_covariance: motion.twist_covariance(),
-            refinement: estimate.refinement,
-            predicted_error: estimate.predicted_error,
-            estimated_error: estimate.estimated_error,
-            contradicts_odometry: estimate.contradicts_odometry,
-            new_keyframe: becomes_keyframe,
-            ..self.registration(estimate.outcome, estimate.map_from_base, &(estimate.covariance + estimate.by_scale.covariance()))
-        }
-    }
-}
-
-/// Whether a robot can change from one velocity to the other within `seconds`.
-fn is_reachable(before: &Twist2, after: &Twist2, seconds: f64) -> bool {
-    let change = (after.vx - before.vx).hypot(after.vy - before.vy);
-    let heading_rate_change = (after.omega - before.omega).abs();
-    let within = |change: f64, jump: f64, acceleration: f64| change * seconds < jump + acceleration * seconds * seconds;
-    within(change, MAX_POSITION_JUMP, MAX_ACCELERATION) && within(heading_rate_change, MAX_HEADING_JUMP, MAX_ANGULAR_ACCELERATION)
 }

@@ -29,8 +29,8 @@ pub(super) struct MotionState {
 pub(super) struct PredictedMotion {
     /// Motion from the last pose, in the frame of that pose.
     motion: Pose2,
-    /// The predicted state, before any measurement.
-    state: MotionState,
+    /// The predicted state, if there is no measurement or none that tells how the robot moved.
+    pub(super) state: MotionState,
 }
 
 impl MotionState {
@@ -89,20 +89,15 @@ impl PredictedMotion {
         Prediction { motion: self.motion, covariance: rotated(&self.state.pose_covariance(), self.motion.theta) }
     }
 
-    /// The predicted state, if there is no measurement or none that tells how the robot moved.
-    pub(super) fn without_measurement(&self) -> MotionState {
-        self.state
-    }
-
     /// The state updated by a measured `motion`. `covariance` is that of the pose given prediction and measurement together,
     /// along the axes of the motion's end.
     ///
     /// The velocity is updated by its correlation with the pose: the regression of the one on the other is that of the Kalman
     /// gain, whatever the source of the pose.
     pub(super) fn updated(&self, motion: &Pose2, covariance: &PoseCovariance) -> MotionState {
-        let (pose, cross, twist) = (self.state.pose_covariance(), self.cross_covariance(), self.state.twist_covariance());
+        let (pose, twist) = (self.state.pose_covariance(), self.state.twist_covariance());
         let Some(information) = pose.try_inverse() else { return self.state };
-        let gain = cross.transpose() * information;
+        let gain = self.state.covariance.fixed_view::<3, 3>(0, 3).transpose() * information;
         let error = self.motion.between(motion);
         let change = gain * Vector3::new(error.x, error.y, wrap_angle(error.theta));
         let Twist2 { vx, vy, omega } = self.state.twist;
@@ -110,7 +105,7 @@ impl PredictedMotion {
             blocks(covariance, &(covariance * gain.transpose()), &(twist - gain * (pose - covariance) * gain.transpose()));
         MotionState {
             twist: Twist2 { vx: vx + change.x, vy: vy + change.y, omega: omega + change.z },
-            covariance: symmetric(&known),
+            covariance: 0.5 * (known + known.transpose()), // symmetric in spite of rounding errors
         }
     }
 
@@ -118,10 +113,6 @@ impl PredictedMotion {
     pub(super) fn kidnapped(&self, covariance: &PoseCovariance) -> MotionState {
         let MotionState { twist, .. } = self.state;
         MotionState { twist, covariance: blocks(covariance, &Matrix3::zeros(), &self.state.twist_covariance()) }
-    }
-
-    fn cross_covariance(&self) -> Matrix3<f64> {
-        self.state.covariance.fixed_view::<3, 3>(0, 3).into()
     }
 }
 
@@ -138,11 +129,6 @@ fn blocks(pose: &Matrix3<f64>, cross: &Matrix3<f64>, twist: &Matrix3<f64>) -> Ma
     all.fixed_view_mut::<3, 3>(3, 0).copy_from(&cross.transpose());
     all.fixed_view_mut::<3, 3>(3, 3).copy_from(twist);
     all
-}
-
-/// Makes a matrix symmetric again after rounding errors.
-fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
-    0.5 * (matrix + matrix.transpose())
 }
 
 #[cfg(test)]
@@ -179,7 +165,7 @@ mod tests {
         let at_once = start.predict(0.1);
         let mut motion = start;
         for _ in 0..100 {
-            motion = motion.predict(0.001).without_measurement();
+            motion = motion.predict(0.001).state;
         }
         let (once, often) = (at_once.state.pose_covariance(), motion.pose_covariance());
         assert!((once - often).norm() < 0.02 * once.norm(), "{once} {often}");

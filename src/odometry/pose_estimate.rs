@@ -5,10 +5,10 @@ use super::keyframe_pose::KeyframePose;
 use super::match_problem::MatchProblem;
 use super::prediction::Prediction;
 use super::scale_error::ScaleJacobian;
-use super::{Failure, FailureReason, OdometryKnobs, Outcome, RefinementReport, uncertainty};
+use super::{Failure, Outcome, RefinementReport, uncertainty};
 use crate::anytime::ErrorEstimate;
 use crate::geometry::{Pose2, PoseCovariance};
-use crate::matching::{StopReason, Uncertainty};
+use crate::matching::Uncertainty;
 
 /// A pose that [`super::LaserOdometry`] turns into a [`super::Registration`].
 pub(super) struct PoseEstimate {
@@ -52,19 +52,22 @@ impl PoseEstimate {
         }
     }
 
+    /// A predicted pose, for a scan without a match. `error`: that of the prediction.
+    pub(super) fn unmatched(failure: Failure, map_from_base: Pose2, covariance: PoseCovariance, error: ErrorEstimate) -> Self {
+        let outcome = Outcome::Predicted(failure);
+        Self { outcome, predicted_error: error, estimated_error: error, ..Self::first(map_from_base, covariance) }
+    }
+
     /// The prediction, for a scan whose match failed.
     pub(super) fn predicted(problem: &MatchProblem, failure: Failure) -> Self {
         let MatchProblem { previous, prediction: Prediction { motion, covariance: step }, .. } = problem;
         let to_keyframe = uncertainty::compound(&Pose2::IDENTITY, &previous.covariance_to_keyframe, motion, step);
         let error = ErrorEstimate::of_covariance(step);
         Self {
-            outcome: Outcome::Predicted(failure),
             by_scale: problem.predicted_by_scale(),
             step_covariance: uncertainty::rotated(step, previous.map_from_base.theta),
             covariance_to_keyframe: uncertainty::rotated(&to_keyframe, -motion.theta),
-            predicted_error: error,
-            estimated_error: error,
-            ..Self::first(problem.predicted_pose(), problem.predicted_covariance())
+            ..Self::unmatched(failure, problem.predicted_pose(), problem.predicted_covariance(), error)
         }
     }
 
@@ -117,45 +120,17 @@ impl PoseEstimate {
             ..Self::first(map_from_base, covariance)
         }
     }
-}
 
-/// The result of matching one scan.
-pub(super) struct MatchResult {
-    pub(super) report: RefinementReport,
-    pub(super) keyframe_from_laser: Pose2,
-    /// Fraction of the rays that agree with the reference, if it is known.
-    pub(super) agreement: Option<f64>,
-    /// The estimate, or why the match failed.
-    pub(super) estimate: Result<PoseEstimate, Failure>,
-}
-
-/// The reason to reject the match, if there is one.
-pub(super) fn check_match(report: &RefinementReport, correction: &Pose2, knobs: &OdometryKnobs) -> Option<Failure> {
-    let stop_reason = report.stop_reason;
-    if stop_reason.is_failure() {
-        return Some(match stop_reason {
-            StopReason::Singular => Failure::new(FailureReason::Singular, "the correspondences do not determine a pose"),
-            _ => Failure::new(
-                FailureReason::TooFewCorrespondences,
-                format!("too few correspondences: the scan of {} rays does not fit the reference", report.rays),
-            ),
-        });
+    /// The pose as that of a keyframe.
+    pub(super) fn keyframe_pose(&self, base_from_laser: &Pose2) -> KeyframePose {
+        let (map_from_base, none) = (self.map_from_base, PoseCovariance::zeros());
+        let map_from_laser = map_from_base * *base_from_laser;
+        KeyframePose {
+            map_from_laser,
+            base_from_laser: *base_from_laser,
+            covariance: uncertainty::compound(&map_from_base, &self.covariance, base_from_laser, &none),
+            by_scale: self.by_scale.at(map_from_laser.translation() - map_from_base.translation()),
+            step_covariance: self.step_covariance,
+        }
     }
-    if report.iterations == 0 {
-        return Some(match stop_reason {
-            StopReason::Interrupted => {
-                Failure::new(FailureReason::Interrupted, "the answer was requested before the first iteration")
-            }
-            _ => Failure::new(FailureReason::NoTime, "the time budget leaves no time for an iteration"),
-        });
-    }
-    if correction.distance() > knobs.max_correction_distance || correction.theta.abs() > knobs.max_correction_angle {
-        let text = format!(
-            "the match corrects the prediction by {:.2} m and {:.1} degrees: more than max_correction_distance or max_correction_angle",
-            correction.distance(),
-            correction.theta.abs().to_degrees()
-        );
-        return Some(Failure::new(FailureReason::CorrectionTooLarge, text));
-    }
-    None
 }

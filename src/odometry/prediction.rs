@@ -1,5 +1,6 @@
 //! A predicted motion with its covariance.
 
+use super::uncertainty;
 use crate::geometry::{Pose2, PoseCovariance};
 
 /// A predicted motion of the base, in the frame of its start.
@@ -15,6 +16,11 @@ impl Prediction {
     /// No motion, without uncertainty.
     pub(super) const NO_MOTION: Self =
         Self { motion: Pose2::IDENTITY, covariance: PoseCovariance::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) };
+
+    /// A motion measured by wheel odometry within `seconds`.
+    pub(super) fn by_wheels(motion: Pose2, seconds: f64) -> Self {
+        Self { motion, covariance: uncertainty::wheel_covariance(&motion, seconds) }
+    }
 
     /// Fuses two predictions of the same motion with independent errors (the Kalman filter's update).
     pub(super) fn fused_with(&self, other: &Self) -> Self {

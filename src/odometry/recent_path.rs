@@ -9,7 +9,6 @@ use super::inconsistency::Inconsistency;
 use super::prediction::Prediction;
 use super::source_noise::normalized_innovation;
 use super::sources::MotionSources;
-use super::uncertainty;
 use crate::geometry::Pose2;
 use crate::time::Stamp;
 
@@ -56,8 +55,7 @@ impl RecentPath {
     ) -> Inconsistency {
         let compare = |&(since, start): &(Stamp, Pose2)| {
             let motion = sources.motion_without_imu(since, stamp)?;
-            let covariance = uncertainty::wheel_covariance(&motion, stamp.seconds_since(since));
-            let predicted = Prediction { motion, covariance };
+            let predicted = Prediction::by_wheels(motion, stamp.seconds_since(since));
             let measured = start.between(map_from_base);
             Some((normalized_innovation(&predicted, &measured), predicted, measured, start.theta))
         };

@@ -1,6 +1,6 @@
 //! Loop closure: matches the latest keyframe to previously visited places and corrects the map.
 
-use super::local_map::LoopCandidate;
+use super::local_map::Keyframe;
 use super::loop_closure::{self, LoopMeasurement};
 use super::{LaserOdometry, uncertainty};
 use crate::anytime::ContractRunner;
@@ -13,48 +13,45 @@ impl LaserOdometry {
         if !std::mem::take(&mut self.loop_check_pending) {
             return;
         }
-        if let Some(candidate) = self.loop_candidate() {
-            match self.measure_loop(&candidate, runner) {
-                // Try again when there is more time.
-                None => self.loop_check_pending = true,
-                Some(measurement) if self.loop_verifier.accepts(&measurement) => {
-                    self.apply_loop_closure(&candidate, &measurement);
-                }
-                Some(_) => {}
-            }
-            self.select_views();
-        } else {
-            self.loop_verifier.reset();
+        let Some(candidate) = self.loop_candidate() else { return self.loop_verifier.reset() };
+        match self.measure_loop(&candidate, runner) {
+            // Try again when there is more time.
+            None => self.loop_check_pending = true,
+            Some(measurement) if self.loop_verifier.accepts(&measurement) => self.apply_loop_closure(&candidate, &measurement),
+            Some(_) => {}
         }
+        self.select_views();
     }
 
     /// The earlier keyframes to match the latest one to, as `views`; `None` while scans are matched to earlier keyframes anyway.
-    pub(super) fn loop_candidate(&mut self) -> Option<LoopCandidate> {
-        let (pose, _) = self.map.last().filter(|_| self.map.is_exploring())?;
-        self.map.loop_candidate(&pose, self.knobs.views as usize, &mut self.views)
+    fn loop_candidate(&mut self) -> Option<Keyframe> {
+        let latest = self.map.last().filter(|_| self.map.is_exploring())?;
+        self.map.loop_candidate(&latest.pose.map_from_laser, self.knobs.views as usize, &mut self.views)
     }
 
     /// Matches the latest keyframe to `views`, the first of which is `candidate`; `None` if there was no time for it.
-    pub(super) fn measure_loop(&mut self, candidate: &LoopCandidate, runner: &mut ContractRunner) -> Option<LoopMeasurement> {
-        let (path_pose, view) = self.map.last()?;
+    fn measure_loop(&mut self, candidate: &Keyframe, runner: &mut ContractRunner) -> Option<LoopMeasurement> {
+        let latest = self.map.last()?;
+        let (scan, path_pose) = (latest.view.scan(), latest.pose.map_from_laser);
+        let map_from_candidate = candidate.pose.map_from_laser;
         self.matcher.set_views(&self.views);
-        let pose = candidate.map_from_laser.between(&path_pose);
+        let pose = map_from_candidate.between(&path_pose);
         let guess = FirstGuess { pose, prior: None, window: loop_closure::window(&self.map.drift_covariance(candidate)) };
-        let mut refinement = self.matcher.begin(view.scan(), guess);
+        let mut refinement = self.matcher.begin(scan, guess);
         if runner.run(&mut refinement) == StopReason::Interrupted {
             return None;
         }
-        let measured_pose = candidate.map_from_laser * refinement.pose();
+        let measured_pose = map_from_candidate * refinement.pose();
         let agreement = refinement.agreement().unwrap_or_default();
         let rays = refinement.trace().last().map_or(0, |last| last.rays);
-        let correlated = uncertainty::correlated_rays(view.scan(), rays);
+        let correlated = uncertainty::correlated_rays(scan, rays);
         let information = refinement.uncertainty().and_then(|known| known.information).unwrap_or_default() / correlated;
-        let information = uncertainty::rotated(&information, candidate.map_from_laser.theta);
+        let information = uncertainty::rotated(&information, map_from_candidate.theta);
         Some(LoopMeasurement { path_pose, measured_pose, agreement, information })
     }
 
     /// Applies an accepted loop closure: links the keyframes, and corrects the path, the pose and their covariances.
-    pub(super) fn apply_loop_closure(&mut self, candidate: &LoopCandidate, measurement: &LoopMeasurement) {
+    fn apply_loop_closure(&mut self, candidate: &Keyframe, measurement: &LoopMeasurement) {
         self.counters.closed_loops += 1;
         let (map_from_laser, remaining) = measurement.fused(&self.map.drift_covariance(candidate));
         self.map.link(candidate);
@@ -66,9 +63,10 @@ impl LaserOdometry {
             let odom_from_map = self.map_from_odom.inverse();
             let before = previous.total_covariance();
             let in_odom = uncertainty::compound(&odom_from_map, &self.drift_covariance, &previous.map_from_base, &before);
-            previous.covariance = candidate.covariance + remaining;
+            previous.covariance = candidate.pose.covariance + remaining;
             let map_from_base = correction * previous.map_from_base;
-            previous.by_scale = candidate.by_scale.at(map_from_base.translation() - candidate.map_from_laser.translation());
+            previous.by_scale =
+                candidate.pose.by_scale.at(map_from_base.translation() - candidate.pose.map_from_laser.translation());
             let offset = odom_from_map.transform().rotate(previous.map_from_base.translation());
             let drift = in_odom - uncertainty::rotated(&previous.total_covariance(), odom_from_map.theta);
             self.drift_covariance = uncertainty::propagated(&uncertainty::positive_part(&drift), -offset);

@@ -5,7 +5,7 @@ use std::fmt;
 
 use crate::anytime::ErrorEstimate;
 use crate::geometry::{Point, Pose2, PoseCovariance, Twist2};
-use crate::matching::{PlacedView, Refinement, StopReason, Uncertainty};
+use crate::matching::{IterationTrace, PlacedView, Refinement, StopReason, Uncertainty};
 
 /// How a pose was obtained.
 #[derive(Clone, Debug, PartialEq)]
@@ -140,14 +140,8 @@ pub struct RefinementReport {
     pub iterations: u32,
     /// Rays of the scan with a valid measurement.
     pub rays: u32,
-    /// Rays used in the last iteration.
-    pub rays_used: u32,
-    /// Rays with a correspondence.
-    pub correspondences: u32,
-    /// Correspondences that determined the pose.
-    pub inliers: u32,
-    /// Mean absolute residual of the inliers, m.
-    pub mean_residual: f64,
+    /// The last iteration; zeros if there was none.
+    pub last: IterationTrace,
     /// Condition number of the information matrix; infinite if a direction is unconstrained.
     pub condition_number: f64,
     /// The unconstrained direction in the base frame, rad: 0 is forward, in (-pi/2, pi/2].
@@ -170,16 +164,12 @@ pub(super) fn report(
     uncertainty: Option<&Uncertainty>,
     base_heading: f64,
 ) -> RefinementReport {
-    let last = refinement.trace().last().copied().unwrap_or_default();
     let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     RefinementReport {
         stop_reason,
         iterations: count(refinement.trace().len()),
         rays: count(refinement.rays()),
-        rays_used: last.rays,
-        correspondences: last.correspondences,
-        inliers: last.inliers,
-        mean_residual: last.mean_residual,
+        last: refinement.trace().last().copied().unwrap_or_default(),
         condition_number: uncertainty.map_or(f64::INFINITY, |known| known.condition_number),
         free_direction: uncertainty
             .and_then(|known| known.free_direction)

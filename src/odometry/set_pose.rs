@@ -4,12 +4,13 @@
 //! taken for it may still show the old place. So the new reference is on probation. A scan that no robot motion can connect to it
 //! was taken at the new place; it replaces the reference, at the pose that was set.
 
-use super::match_problem::{MatchProblem, PreviousEstimate};
+use super::match_problem::MatchProblem;
+use super::match_scan::MatchResult;
 use super::motion_state::MotionState;
 use super::prediction::Prediction;
+use super::previous_estimate::PreviousEstimate;
 use super::registration::Registration;
-use super::scale_error::ScaleJacobian;
-use super::{LaserOdometry, MatchResult, is_reachable, uncertainty};
+use super::{LaserOdometry, uncertainty};
 use crate::geometry::{Pose2, PoseCovariance, Twist2};
 use crate::scan::Scan;
 use crate::time::Stamp;
@@ -70,28 +71,27 @@ impl LaserOdometry {
         Some(self.begin_from(&set, scan, base_from_laser, since))
     }
 
-    /// Whether a match shows that the reference was not taken at the pose that was set.
-    pub(super) fn is_reference_refuted(&mut self, problem: &MatchProblem, result: &MatchResult, stamp: Stamp) -> bool {
-        let Some(set) = self.set_pose.as_mut().filter(|set| set.is_on_probation(stamp)) else { return false };
-        let (measured, seconds) = measured_twist_of(problem, result, stamp);
-        let jumps = [problem.previous.motion.twist, problem.previous.measured_twist]
-            .iter()
-            .all(|twist| !is_reachable(twist, &measured, seconds));
-        set.is_agreement_unusual(result.agreement) || result.estimate.is_err() || jumps
-    }
-
-    /// Replaces the reference by the scan that refutes it.
-    pub(super) fn replace_reference(
+    /// Replaces the reference by this scan if its match shows that the reference was not taken at the pose that was set.
+    pub(super) fn replace_refuted_reference(
         &mut self,
         scan: &Scan,
         problem: &MatchProblem,
         result: &MatchResult,
     ) -> Option<Registration> {
-        let set = self.set_pose?;
-        let (measured, _) = measured_twist_of(problem, result, scan.stamp());
+        let set = self.set_pose.as_mut().filter(|set| set.is_on_probation(scan.stamp()))?;
+        let previous = &problem.previous;
+        let seconds = scan.stamp().seconds_since(previous.stamp);
+        let measured = result.estimate.as_ref().map_or(previous.measured_twist, |estimate| {
+            Twist2::from_motion(&previous.map_from_base.between(&estimate.map_from_base), seconds)
+        });
+        let is_unusual = set.is_agreement_unusual(result.agreement);
+        if !is_unusual && result.estimate.is_ok() && previous.can_reach(&measured, seconds) {
+            return None;
+        }
+        let set = *set;
         self.forget_reference();
         // The robot was moved here after the previous scan.
-        let registration = self.begin_from(&set, scan, &problem.base_from_laser, problem.previous.stamp);
+        let registration = self.begin_from(&set, scan, &problem.base_from_laser, previous.stamp);
         if let Some(previous) = &mut self.previous {
             previous.measured_twist = measured; // if the motion continues like this, the assumed velocity was wrong
         }
@@ -100,36 +100,17 @@ impl LaserOdometry {
 
     /// Registers a scan as the first one. The robot was at the pose that was set at time `since`, and keeps its velocity.
     fn begin_from(&mut self, set: &SetPose, scan: &Scan, base_from_laser: &Pose2, since: Stamp) -> Registration {
-        let (seconds, twist, none) = (scan.stamp().seconds_since(since), self.typical_twist, PoseCovariance::zeros());
+        let (seconds, none) = (scan.stamp().seconds_since(since), PoseCovariance::zeros());
         if seconds <= 0.0 {
             self.previous = None;
             return self.register_first(scan, base_from_laser, set.map_from_base, none);
         }
-        let state = MotionState::assumed(twist);
+        let state = MotionState::assumed(self.typical_twist);
         let Prediction { motion, covariance } = state.predict(seconds).prediction();
-        let (map_from_base, map_from_laser) = (set.map_from_base, set.map_from_base * *base_from_laser);
-        self.previous = Some(PreviousEstimate {
-            stamp: since,
-            map_from_base,
-            map_from_laser,
-            covariance: none,
-            by_scale: ScaleJacobian::NONE,
-            covariance_to_keyframe: none,
-            measured_twist: twist,
-            mean_twist: twist,
-            motion: state,
-            has_skipped_scan: false,
-        });
+        self.previous = Some(PreviousEstimate::new(since, set.map_from_base, none, &state));
         let covariance = uncertainty::compound(&set.map_from_base, &none, &motion, &covariance);
         self.register_first(scan, base_from_laser, set.map_from_base * motion, covariance)
     }
-}
-
-/// The velocity from the previous estimate to the match result, and the time between them, s.
-fn measured_twist_of(problem: &MatchProblem, result: &MatchResult, stamp: Stamp) -> (Twist2, f64) {
-    let seconds = stamp.seconds_since(problem.previous.stamp);
-    let motion = result.estimate.as_ref().map(|estimate| problem.previous.map_from_base.between(&estimate.map_from_base));
-    (motion.map_or(problem.previous.measured_twist, |motion| Twist2::from_motion(&motion, seconds)), seconds)
 }
 
 #[cfg(test)]

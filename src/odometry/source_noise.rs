@@ -5,8 +5,6 @@
 //! The covariance of a source's model is multiplied by the ratio of the latest squared errors to it: noise adaptation of a Kalman
 //! filter by its innovations (Mehra 1970), restricted to adding noise.
 
-use nalgebra::Vector3;
-
 use super::prediction::Prediction;
 use super::registration::RejectedSources;
 use crate::geometry::Pose2;
@@ -84,21 +82,16 @@ impl Prediction {
     /// the squared Mahalanobis distance. If stamps jitter, the step may have taken the typical time; the velocity then leads to
     /// `typical`.
     pub(super) fn checked_against(&self, by_velocity: &Self, typical: &Self) -> Self {
-        let time = innovation(by_velocity, &typical.motion);
+        let time = by_velocity.motion.difference(&typical.motion);
         let both = Self { covariance: self.covariance + typical.covariance + time * time.transpose(), ..*self };
         let squared = 3.0 * normalized_innovation(&both, &by_velocity.motion).powi(2);
         Self { covariance: self.covariance * if squared > GATE { squared } else { 1.0 }, ..*self }
     }
 }
 
-/// Measured minus predicted motion: m, m, rad, along the axes of its start.
-pub(super) fn innovation(predicted: &Prediction, measured: &Pose2) -> Vector3<f64> {
-    predicted.motion.difference(measured)
-}
-
-/// Innovation in standard deviations of the prediction, as root mean square over its three coordinates.
+/// Innovation (measured minus predicted motion) in standard deviations of the prediction, as root mean square over its three coordinates.
 pub(super) fn normalized_innovation(predicted: &Prediction, measured: &Pose2) -> f64 {
-    let error = innovation(predicted, measured);
+    let error = predicted.motion.difference(measured);
     predicted.covariance.cholesky().map_or(0.0, |known| (error.dot(&known.solve(&error)).max(0.0) / 3.0).sqrt())
 }
 
@@ -110,8 +103,7 @@ mod tests {
     fn after(steps: &[(f64, f64)]) -> SourceNoise {
         let mut noise = SourceNoise::default();
         for &(predicted, measured) in steps {
-            let motion = Pose2::new(predicted, 0.0, 0.0);
-            let predicted = Prediction { motion, covariance: uncertainty::wheel_covariance(&motion, 0.2) };
+            let predicted = Prediction::by_wheels(Pose2::new(predicted, 0.0, 0.0), 0.2);
             noise.update(normalized_innovation(&predicted, &Pose2::new(measured, 0.0, 0.0)));
         }
         noise
@@ -151,8 +143,7 @@ mod tests {
 
     #[test]
     fn rotations_count_too_and_wrap_around() {
-        let motion = Pose2::new(0.0, 0.0, 3.0);
-        let predicted = Prediction { motion, covariance: uncertainty::wheel_covariance(&motion, 0.2) };
+        let predicted = Prediction::by_wheels(Pose2::new(0.0, 0.0, 3.0), 0.2);
         assert!(normalized_innovation(&predicted, &Pose2::new(0.0, 0.0, -3.0)) < 1.0);
         assert!(normalized_innovation(&predicted, &Pose2::IDENTITY) > 3.0);
     }

@@ -6,7 +6,7 @@
 use crate::geometry::{Pose2, PoseCovariance, Twist2, wrap_angle};
 use crate::time::Stamp;
 
-use super::heading::{HeadingReading, ImuHeading};
+use super::heading::ImuHeading;
 use super::lag::LagEstimator;
 use super::prediction::Prediction;
 use super::wheel::{WheelEvent, WheelOdometry, WheelSample};
@@ -23,40 +23,21 @@ const IMU_SCALE_ERROR: f64 = 0.02;
 /// All sources of the robot's motion.
 #[derive(Clone, Debug, Default)]
 pub struct MotionSources {
-    transforms: WheelOdometry,
-    heading: ImuHeading,
+    /// Poses of the base by another node's transforms.
+    pub(super) transforms: WheelOdometry,
+    pub(super) heading: ImuHeading,
     /// The matches contradict the IMU: its rotations are not used.
-    imu_rejected: bool,
+    pub(super) imu_rejected: bool,
     wheels: WheelOdometry,
     wheel_lag: LagEstimator,
     /// With the stamp of the latest scan before it arrived: velocities have no stamp of their own.
-    velocity: Option<(Stamp, Twist2)>,
+    pub(super) velocity: Option<(Stamp, Twist2)>,
 }
 
 impl MotionSources {
-    /// Adds the pose of the base by another node's transforms.
-    pub fn push_transform(&mut self, sample: WheelSample) -> WheelEvent {
-        self.transforms.push(sample)
-    }
-
-    /// Adds a reading of the IMU.
-    pub fn push_imu_reading(&mut self, reading: HeadingReading) {
-        self.heading.push(reading);
-    }
-
     /// Adds a message of wheel odometry.
     pub fn push(&mut self, sample: WheelSample) -> WheelEvent {
         self.wheels.push(sample)
-    }
-
-    /// Sets the velocity of the robot, valid from the scan of this stamp on.
-    pub fn set_velocity(&mut self, after: Stamp, twist: Twist2) {
-        self.velocity = Some((after, twist));
-    }
-
-    /// Forgets everything.
-    pub fn clear(&mut self) {
-        *self = Self::default();
     }
 
     /// Whether a source that reports the motion until `stamp` is expected but has not arrived yet.
@@ -108,11 +89,6 @@ impl MotionSources {
         Some((rotation, IMU_ROTATION_ERROR + IMU_SCALE_ERROR * rotation.abs()))
     }
 
-    /// Sets whether the IMU's rotations are rejected.
-    pub fn set_imu_rejected(&mut self, rejected: bool) {
-        self.imu_rejected = rejected;
-    }
-
     /// The IMU's rotation, unless it is rejected or another node's transforms cover the motion.
     fn accepted_imu_rotation(&self, from: Stamp, to: Stamp) -> Option<(f64, f64)> {
         let is_used = !self.imu_rejected && self.transforms.motion(from, to).is_none();
@@ -157,6 +133,7 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
+    use crate::odometry::heading::HeadingReading;
     use crate::odometry::uncertainty;
 
     fn at(seconds: f64) -> Stamp {
@@ -175,7 +152,7 @@ mod tests {
     fn the_best_available_source_is_used() {
         let mut sources = MotionSources::default();
         assert_eq!(sources.motion(at(0.0), at(0.1)), None);
-        sources.set_velocity(at(0.0), Twist2 { vx: 1.0, vy: 0.0, omega: 0.0 });
+        sources.velocity = Some((at(0.0), Twist2 { vx: 1.0, vy: 0.0, omega: 0.0 }));
         assert_eq!(motion(&sources), Pose2::new(0.1, 0.0, 0.0));
         assert_eq!(sources.motion(at(0.5), at(0.6)), None, "an old velocity");
         for seconds in [0.0, 0.1] {
@@ -183,13 +160,13 @@ mod tests {
         }
         assert_eq!(motion(&sources), Pose2::new(0.2, 0.0, 0.0));
         for (seconds, yaw) in [(0.0, 1.0), (0.1, 1.3)] {
-            sources.push_imu_reading(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 3.0 });
+            sources.heading.push(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 3.0 });
         }
         let rotated = motion(&sources);
         assert!((rotated.theta - 0.3).abs() < 1e-9 && rotated.y > 0.02, "the arc of the wheels bends: {rotated:?}");
         assert!((rotated.distance() - 0.2).abs() < 1e-3);
         for seconds in [0.0, 0.1] {
-            sources.push_transform(sample(seconds, Pose2::new(5.0 * seconds, 0.0, 0.0)));
+            sources.transforms.push(sample(seconds, Pose2::new(5.0 * seconds, 0.0, 0.0)));
         }
         assert_eq!(motion(&sources), Pose2::new(0.5, 0.0, 0.0));
     }
@@ -202,7 +179,7 @@ mod tests {
         let unchanged = sources.with_imu_heading(&straight, at(0.0), at(0.1));
         assert_eq!((unchanged.motion, unchanged.covariance), (straight.motion, straight.covariance));
         for (seconds, yaw) in [(0.0, 0.0), (0.1, 0.2)] {
-            sources.push_imu_reading(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 2.0 });
+            sources.heading.push(HeadingReading { stamp: at(seconds), yaw: Some(yaw), rate: 2.0 });
         }
         let Prediction { motion: rotated, covariance: known } = sources.with_imu_heading(&straight, at(0.0), at(0.1));
         assert!((rotated.theta - 0.2).abs() < 1e-9 && known[(2, 2)] < 0.1 * covariance[(2, 2)]);
@@ -225,7 +202,7 @@ mod tests {
     #[test]
     fn scans_wait_for_active_sources_only() {
         let mut sources = MotionSources::default();
-        sources.push_imu_reading(HeadingReading { stamp: at(0.0), yaw: None, rate: 0.1 });
+        sources.heading.push(HeadingReading { stamp: at(0.0), yaw: None, rate: 0.1 });
         assert_eq!([0.01, 0.2, 2.0].map(|seconds| sources.is_behind(at(seconds))), [false, true, false]);
     }
 }

@@ -1,14 +1,15 @@
 //! Registrations of scans without a match.
 
-use super::match_problem::{MatchProblem, PreviousEstimate};
+use super::LaserOdometry;
+use super::match_problem::MatchProblem;
 use super::motion_state::MotionState;
 use super::pose_estimate::PoseEstimate;
 use super::prediction::Prediction;
-use super::registration::{Failure, FailureReason, Outcome, RefinementReport, Registration};
-use super::scale_error::ScaleJacobian;
-use super::{LaserOdometry, uncertainty};
+use super::previous_estimate::PreviousEstimate;
+use super::registration::{Failure, FailureReason, RefinementReport, Registration};
+use super::uncertainty;
 use crate::anytime::ErrorEstimate;
-use crate::geometry::{Pose2, PoseCovariance, Twist2};
+use crate::geometry::{Pose2, PoseCovariance};
 use crate::scan::Scan;
 use crate::time::{Stamp, Step};
 
@@ -42,8 +43,14 @@ impl LaserOdometry {
             }
         };
         self.counters.predicted += 1;
-        let registration = self.registration(Outcome::Predicted(failure), previous.map_from_base, &previous.total_covariance());
-        Some(Registration { twist: previous.motion.twist, ..registration })
+        Some(self.repeated(&previous, failure))
+    }
+
+    /// The pose of the previous estimate again, for a scan that is not newer.
+    fn repeated(&self, previous: &PreviousEstimate, failure: Failure) -> Registration {
+        let (pose, covariance) = (previous.map_from_base, previous.total_covariance());
+        let estimate = PoseEstimate::unmatched(failure, pose, covariance, ErrorEstimate::UNKNOWN);
+        Registration { twist: previous.motion.twist, ..self.registration(estimate) }
     }
 
     /// Registers the first scan, which becomes the reference.
@@ -67,96 +74,63 @@ impl LaserOdometry {
         self.commit(scan, &problem.base_from_laser, PoseEstimate::predicted(problem, failure), true)
     }
 
-    /// Registers a scan with the predicted pose. `is_lost`: the scan could not be matched, and becomes the keyframe, so that an
-    /// unusable keyframe is not kept forever.
-    pub(super) fn register_prediction(
+    /// Registers a scan whose match failed with the predicted pose. It becomes the keyframe, so that an unusable one is not kept
+    /// forever, unless there was no time to match it.
+    pub(super) fn register_failed_match(
         &mut self,
         scan: &Scan,
         problem: &MatchProblem,
-        refinement: Option<RefinementReport>,
+        refinement: RefinementReport,
         failure: Failure,
         becomes_keyframe: bool,
-        is_lost: bool,
+        is_same_laser: bool,
     ) -> Registration {
         self.counters.predicted += 1;
+        // If there was no time to match, or the scan is of another laser, the keyframe may still be good.
+        let no_time = refinement.iterations == 0 && !refinement.stop_reason.is_failure();
+        let is_lost = !no_time && is_same_laser;
+        let predicted = PoseEstimate::predicted(problem, failure);
+        let estimate = PoseEstimate { is_lost, refinement: Some(refinement), ..predicted };
         if is_lost
             && problem.awaits_odometry
             && let Some(previous) = &mut self.previous
             && !std::mem::replace(&mut previous.has_skipped_scan, true)
         {
             // The odometry to come will predict the motion better: the next scan starts from the same estimate as this one.
-            let twist =
-                problem.previous.motion.predict(scan.stamp().seconds_since(problem.previous.stamp)).without_measurement().twist;
-            let error = ErrorEstimate::of_covariance(&problem.prediction.covariance);
-            let (map_from_base, covariance) = problem.predicted_base();
-            return Registration {
-                refinement,
-                ..self.register_without_update(failure, map_from_base, &covariance, (twist, error))
-            };
+            let seconds = scan.stamp().seconds_since(problem.previous.stamp);
+            let twist = problem.previous.motion.predict(seconds).state.twist;
+            return Registration { twist, ..self.registration(estimate) };
         }
-        let estimate = PoseEstimate { is_lost, refinement, ..PoseEstimate::predicted(problem, failure) };
-        self.commit(scan, &problem.base_from_laser, estimate, becomes_keyframe)
+        self.commit(scan, &problem.base_from_laser, estimate, becomes_keyframe || !no_time)
     }
 
     /// Registers a scan with stamp `stamp` that could not be used at all.
     pub fn register_unusable(&mut self, stamp: Stamp, failure: Failure) -> Registration {
-        self.maintain();
-        self.matched_points = None;
-        self.iterations.clear();
+        self.start_scan();
         self.counters.predicted += 1;
         // The stamp of such a scan may be wrong too, so it does not start a new run.
         if let Some(previous) = self.previous.filter(|previous| stamp <= previous.stamp) {
-            return self.register_without_update(
-                failure,
-                previous.map_from_base,
-                &previous.total_covariance(),
-                (previous.motion.twist, ErrorEstimate::UNKNOWN),
-            );
+            return self.repeated(&previous, failure);
         }
-        let (map_from_base, covariance, prediction) = match self.previous {
-            Some(previous) => (
-                previous.map_from_base,
-                previous.total_covariance(),
-                self.match_problem(&previous, stamp, &Pose2::IDENTITY).prediction,
-            ),
+        let (start, start_covariance, prediction) = match self.previous {
+            Some(previous) => {
+                let problem = self.match_problem(&previous, stamp, &Pose2::IDENTITY);
+                (previous.map_from_base, previous.total_covariance(), problem.prediction)
+            }
             None => (self.start_pose, PoseCovariance::zeros(), Prediction::NO_MOTION),
         };
-        let Prediction { motion, covariance: motion_covariance } = prediction;
-        let covariance = uncertainty::compound(&map_from_base, &covariance, &motion, &motion_covariance);
-        let map_from_base = map_from_base * motion;
-        let error = ErrorEstimate::of_covariance(&motion_covariance);
+        let map_from_base = start * prediction.motion;
+        let covariance = uncertainty::compound(&start, &start_covariance, &prediction.motion, &prediction.covariance);
         let state = self.previous.map_or_else(
             || MotionState::unknown(&covariance),
-            |previous| previous.motion.predict(stamp.seconds_since(previous.stamp)).without_measurement(),
+            |previous| previous.motion.predict(stamp.seconds_since(previous.stamp)).state,
         );
-        let twist = state.twist;
         // The next prediction starts from the previous scan, or from here if there is none.
         if self.keyframe.is_none() && self.pending_keyframe.is_none() {
-            self.previous = Some(PreviousEstimate {
-                stamp,
-                map_from_base,
-                map_from_laser: map_from_base,
-                covariance,
-                by_scale: ScaleJacobian::NONE,
-                covariance_to_keyframe: PoseCovariance::zeros(),
-                measured_twist: twist,
-                mean_twist: twist,
-                motion: state,
-                has_skipped_scan: false,
-            });
+            self.previous = Some(PreviousEstimate::new(stamp, map_from_base, covariance, &state));
         }
-        self.register_without_update(failure, map_from_base, &covariance, (twist, error))
-    }
-
-    /// A registration with the prediction, which leaves the state unchanged.
-    pub(super) fn register_without_update(
-        &self,
-        failure: Failure,
-        map_from_base: Pose2,
-        covariance: &PoseCovariance,
-        (twist, error): (Twist2, ErrorEstimate),
-    ) -> Registration {
-        let registration = self.registration(Outcome::Predicted(failure), map_from_base, covariance);
-        Registration { twist, predicted_error: error, estimated_error: error, ..registration }
+        let error = ErrorEstimate::of_covariance(&prediction.covariance);
+        let estimate = PoseEstimate::unmatched(failure, map_from_base, covariance, error);
+        Registration { twist: state.twist, ..self.registration(estimate) }
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use super::prediction::Prediction;
-use super::{source_noise, uncertainty};
+use super::source_noise;
 use crate::geometry::{Pose2, Twist2};
 use crate::time::Stamp;
 
@@ -119,7 +119,7 @@ impl WheelOdometry {
             self.samples.iter().rev().find(is_earlier).or(self.samples.front()).filter(|before| before.stamp < last.stamp);
         let Some(before) = before else { return last.twist.unwrap_or_default() };
         let (moved, seconds) = (before.pose.between(&last.pose), last.stamp.seconds_since(before.stamp));
-        let pose_based = Prediction { motion: moved, covariance: uncertainty::wheel_covariance(&moved, seconds) };
+        let pose_based = Prediction::by_wheels(moved, seconds);
         let is_consistent =
             |twist: &Twist2| source_noise::normalized_innovation(&pose_based, &twist.motion(seconds)) < TWIST_GATE;
         last.twist.filter(is_consistent).unwrap_or_else(|| Twist2::from_motion(&moved, seconds))

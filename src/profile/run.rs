@@ -194,7 +194,7 @@ fn matcher_record(estimate: &Estimate, iterations: &[IterationTrace]) -> ScanRec
         delay_us: Some(microseconds(estimate.elapsed)),
         iterations: registration.refinement.map_or(0, |r| r.iterations),
         rays: iterations.iter().map(|iteration| u64::from(iteration.rays)).sum(),
-        mean_residual: registration.refinement.map(|r| r.mean_residual),
+        mean_residual: registration.refinement.map(|r| r.last.mean_residual),
         conditions: estimate.conditions(),
         error: None,
     }

@@ -2,40 +2,21 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::reference::Reference;
-use super::rejection::Correspondence;
+use super::ClosestPoint;
 use crate::geometry::{Point, Pose2, PoseCovariance, perpendicular};
 use crate::matching::solver::Metric;
 use crate::matching::uncertainty::{Uncertainty, condition_number};
 
-/// Estimates covariances; keeps its buffer between calls.
-#[derive(Debug, Default)]
-pub(super) struct CovarianceEstimator {
-    /// Derivatives of the half gradient by the ranges of the reference rays.
-    by_reference_range: Vec<Vector3<f64>>,
-}
-
-/// The solution of a match, from which the covariance is computed.
-pub(super) struct Solution<'a> {
-    pub(super) reference: &'a Reference,
-    /// Points of the sensed scan, in its own frame.
-    pub(super) sensed: &'a [Point],
-    pub(super) correspondences: &'a [Correspondence],
-    pub(super) pose: Pose2,
-    pub(super) metric: Metric,
-    /// Standard deviation of every range, m.
-    pub(super) range_noise: f64,
-}
-
-impl CovarianceEstimator {
-    pub(super) fn estimate(&mut self, solution: &Solution) -> Uncertainty {
-        let reference = solution.reference;
-        let transform = solution.pose.transform();
+impl ClosestPoint {
+    /// Uncertainty of `pose`, the solution for the current correspondences. `range_noise`: standard deviation of every range, m.
+    pub(super) fn uncertainty_of(&mut self, pose: &Pose2, range_noise: f64) -> Uncertainty {
+        let reference = &self.reference;
+        let transform = pose.transform();
         self.by_reference_range.clear();
         self.by_reference_range.resize(reference.len(), Vector3::zeros());
         let mut sums = Sums::default();
-        for pair in solution.correspondences {
-            let p = solution.sensed[pair.sensed as usize];
+        for pair in &self.pairs {
+            let p = self.sensed[pair.sensed as usize];
             let (first, second) = reference.segment_rays(pair.segment as usize);
             let (j, k) = if pair.ray as usize == first { (first, second) } else { (second, first) };
             let (points, rays) = (reference.points(), reference.rays());
@@ -55,7 +36,7 @@ impl CovarianceEstimator {
                     self.by_reference_range[k] -= term.gradient_by_rotation(rotation(&rays[k].direction));
                 }
             };
-            match solution.metric {
+            match self.metric {
                 Metric::PointToLine => add(reference.segment(pair.segment as usize).normal, true),
                 Metric::PointToPoint => [Point::x(), Point::y()].into_iter().for_each(|axis| add(axis, false)),
             }
@@ -64,14 +45,11 @@ impl CovarianceEstimator {
         for by_range in &self.by_reference_range {
             add_outer(&mut sums.spread, by_range);
         }
-        let covariance = sums.covariance(solution.range_noise);
+        let covariance = sums.covariance(range_noise);
         Uncertainty {
             covariance,
             information: covariance.and_then(Matrix3::try_inverse),
-            condition_number: condition_number(
-                &symmetric(&sums.information),
-                sums.distance / solution.correspondences.len().max(1) as f64,
-            ),
+            condition_number: condition_number(&symmetric(&sums.information), sums.distance / self.pairs.len().max(1) as f64),
             free_direction: None,
         }
     }

@@ -8,15 +8,18 @@ pub mod rejection;
 
 use std::sync::Arc;
 
+use nalgebra::{Matrix2, Vector3};
+
+use super::MatchingKnobs;
 use super::data_association::{Correspondences, DataAssociation, PlacedView};
+use super::first_guess::FirstGuess;
 use super::ray_order::RayOrder;
 use super::solver::{Metric, QuadraticForm};
+use super::uncertainty::Uncertainty;
 use super::view::View;
-use super::{FirstGuess, Uncertainty};
 use crate::geometry::{Point, Pose2};
 use crate::scan::Scan;
 use correspondence::{CorrespondenceSearch, Nearest};
-use covariance::{CovarianceEstimator, Solution};
 use reference::Reference;
 use rejection::{Correspondence, Rejection, RejectionKnobs};
 
@@ -24,9 +27,9 @@ use rejection::{Correspondence, Rejection, RejectionKnobs};
 pub(super) struct ClosestPoint {
     max_distance: f64,
     range_noise: f64,
+    metric: Metric,
     search: Box<dyn CorrespondenceSearch>,
     rejection: Rejection,
-    uncertainty: CovarianceEstimator,
     /// The view that the reference was made of.
     view: Option<Arc<View>>,
     reference: Reference,
@@ -37,22 +40,23 @@ pub(super) struct ClosestPoint {
     moved: Vec<Point>,
     nearest: Vec<Nearest>,
     pairs: Vec<Correspondence>,
+    /// Derivatives of half the gradient by the ranges of the reference rays: a buffer for the covariance.
+    by_reference_range: Vec<Vector3<f64>>,
 }
 
 impl ClosestPoint {
-    /// `max_distance`: maximum distance of corresponding points, m; `range_noise`: standard deviation of a range, m.
     pub(super) fn new(
         search: Box<dyn CorrespondenceSearch>,
         rejection: &RejectionKnobs,
-        max_distance: f64,
-        range_noise: f64,
+        knobs: &MatchingKnobs,
+        metric: Metric,
     ) -> Self {
         Self {
-            max_distance,
-            range_noise,
+            max_distance: knobs.max_correspondence_distance,
+            range_noise: knobs.range_noise,
+            metric,
             search,
             rejection: Rejection::new(rejection.clone()),
-            uncertainty: CovarianceEstimator::default(),
             view: None,
             reference: Reference::default(),
             points: Vec::new(),
@@ -60,6 +64,7 @@ impl ClosestPoint {
             moved: Vec::new(),
             nearest: Vec::new(),
             pairs: Vec::new(),
+            by_reference_range: Vec::new(),
         }
     }
 
@@ -68,17 +73,17 @@ impl ClosestPoint {
         sum / self.pairs.len() as f64
     }
 
-    fn quadratic_form(&self, metric: Metric) -> QuadraticForm {
+    fn quadratic_form(&self) -> QuadraticForm {
         let mut form = QuadraticForm::default();
         for pair in &self.pairs {
             let p = self.sensed[pair.sensed as usize];
-            match metric {
+            match self.metric {
                 Metric::PointToLine => {
                     let segment = self.reference.segment(pair.segment as usize);
                     form.add_line(p, segment.normal, segment.offset, 1.0);
                 }
                 Metric::PointToPoint => {
-                    form.add(p, self.reference.points()[pair.ray as usize], &nalgebra::Matrix2::identity());
+                    form.add(p, self.reference.points()[pair.ray as usize], &Matrix2::identity());
                 }
             }
         }
@@ -110,7 +115,7 @@ impl DataAssociation for ClosestPoint {
         self.points.extend(scan.rays().map(|(_, direction, range)| direction * range));
     }
 
-    fn select_rays(&mut self, order: RayOrder) {
+    fn select_rays(&mut self, order: RayOrder, _max_views: usize) {
         self.sensed.clear();
         self.sensed.extend(order.rays().map(|ray| self.points[ray]));
         self.nearest.clear();
@@ -121,7 +126,7 @@ impl DataAssociation for ClosestPoint {
         self.sensed.len()
     }
 
-    fn find_correspondences(&mut self, pose: &Pose2, metric: Metric) -> Option<Correspondences> {
+    fn find_correspondences(&mut self, pose: &Pose2) -> Option<Correspondences> {
         if self.reference.is_empty() {
             return None;
         }
@@ -129,11 +134,11 @@ impl DataAssociation for ClosestPoint {
         self.moved.clear();
         self.moved.extend(self.sensed.iter().map(|&p| transform.apply(p)));
         self.search.find(&self.reference, &self.moved, self.max_distance, &mut self.nearest);
-        pair_up(&self.reference, &self.moved, &self.nearest, metric, &mut self.pairs);
+        pair_up(&self.reference, &self.moved, &self.nearest, self.metric, &mut self.pairs);
         let count = self.pairs.len() as u32;
         self.rejection.apply(&mut self.pairs, &self.nearest, self.reference.len());
         Some(Correspondences {
-            form: self.quadratic_form(metric),
+            form: self.quadratic_form(),
             count,
             inliers: self.pairs.len() as u32,
             mean_residual: self.mean_residual(),
@@ -142,18 +147,11 @@ impl DataAssociation for ClosestPoint {
         })
     }
 
-    fn uncertainty(&mut self, pose: &Pose2, metric: Metric) -> Uncertainty {
+    fn uncertainty(&mut self, pose: &Pose2) -> Uncertainty {
         // The residuals contain the noise of both scans, and the mean of |e| is sqrt(2/pi) times the standard deviation of a
         // normally distributed e.
         let observed_noise = self.mean_residual() * (std::f64::consts::PI / 4.0).sqrt();
-        self.uncertainty.estimate(&Solution {
-            reference: &self.reference,
-            sensed: &self.sensed,
-            correspondences: &self.pairs,
-            pose: *pose,
-            metric,
-            range_noise: observed_noise.max(self.range_noise),
-        })
+        self.uncertainty_of(pose, observed_noise.max(self.range_noise))
     }
 
     fn matched_points(&self, pose: &Pose2, points: &mut Vec<(Point, Point)>) {

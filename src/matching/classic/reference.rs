@@ -106,11 +106,6 @@ impl Reference {
         &self.segments[i]
     }
 
-    /// Whether the scan is closed: the first ray follows the last one.
-    pub fn closed(&self) -> bool {
-        self.closed
-    }
-
     /// Angle not covered by the sweep, rad.
     pub fn gap(&self) -> f64 {
         self.gap

@@ -64,17 +64,11 @@ impl SolverKind {
 
 /// The sum over correspondences of `(R p + t - q)' C (R p + t - q)` as a function of `x = (t, cos, sin)`: `x' M x + g' x + c`
 /// (Censi 2008, section III).
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct QuadraticForm {
     matrix: Matrix4<f64>,
     gradient: Vector4<f64>,
     constant: f64,
-}
-
-impl Default for QuadraticForm {
-    fn default() -> Self {
-        Self { matrix: Matrix4::zeros(), gradient: Vector4::zeros(), constant: 0.0 }
-    }
 }
 
 impl QuadraticForm {
@@ -181,24 +175,10 @@ impl QuadraticForm {
         (tangent.transpose() * gradient, 2.0 * tangent.transpose() * self.matrix * tangent)
     }
 
-    fn translation_block(&self) -> Matrix2<f64> {
-        2.0 * self.matrix.fixed_view::<2, 2>(0, 0)
-    }
-
-    fn coupling_block(&self) -> Matrix2<f64> {
-        2.0 * self.matrix.fixed_view::<2, 2>(0, 2)
-    }
-
-    fn rotation_block(&self) -> Matrix2<f64> {
-        2.0 * self.matrix.fixed_view::<2, 2>(2, 2)
-    }
-
-    fn translation_gradient(&self) -> Point {
-        self.gradient.fixed_rows::<2>(0).into()
-    }
-
-    fn rotation_gradient(&self) -> Point {
-        self.gradient.fixed_rows::<2>(2).into()
+    /// The blocks A, B and D of `2M = [A B; B' D]`, and the parts of the gradient by translation and rotation.
+    fn blocks(&self) -> ([Matrix2<f64>; 3], [Point; 2]) {
+        let blocks = [(0, 0), (0, 2), (2, 2)].map(|(row, column)| 2.0 * self.matrix.fixed_view::<2, 2>(row, column));
+        (blocks, [0, 2].map(|row| self.gradient.fixed_rows::<2>(row).into()))
     }
 }
 

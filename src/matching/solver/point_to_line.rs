@@ -22,38 +22,27 @@ const RANK_TOLERANCE: f64 = 1e-13;
 const MAX_NEWTON_STEPS: usize = 30;
 
 pub(super) fn solve(form: &QuadraticForm, prior: &Pose2) -> Option<Pose2> {
-    let translation = PseudoInverse::of(&form.translation_block())?;
-    let (a_inverse, b) = (translation.inverse, form.coupling_block());
-    let (g1, g2) = (form.translation_gradient(), form.rotation_gradient());
-    let s = form.rotation_block() - b.transpose() * a_inverse * b;
+    let ([a, b, d], [g1, g2]) = form.blocks();
+    let (a_inverse, null_space) = pseudo_inverse(&a)?;
+    let s = d - b.transpose() * a_inverse * b;
     let h = g2 - b.transpose() * a_inverse * g1;
     let (sin, cos) = prior.theta.sin_cos();
     let u = unit_minimizer(&s, h, Point::new(cos, sin))?;
-    let t = -(a_inverse * (g1 + b * u)) + translation.null_space * prior.translation();
+    let t = -(a_inverse * (g1 + b * u)) + null_space * prior.translation();
     Some(Pose2::new(t.x, t.y, u.y.atan2(u.x)))
 }
 
 /// Pseudo-inverse of a symmetric positive semidefinite matrix, and the projection onto its null space.
-struct PseudoInverse {
-    inverse: Matrix2<f64>,
-    null_space: Matrix2<f64>,
-}
-
-impl PseudoInverse {
-    fn of(matrix: &Matrix2<f64>) -> Option<Self> {
-        let eigen = SymmetricEigen::of(matrix);
-        let largest = eigen.values.y;
-        if !(largest.is_finite() && largest > 0.0) {
-            return None;
-        }
-        let mut inverse = eigen.major * eigen.major.transpose() / largest;
-        let minor = eigen.minor * eigen.minor.transpose();
-        if eigen.values.x > RANK_TOLERANCE * largest {
-            inverse += minor / eigen.values.x;
-            return Some(Self { inverse, null_space: Matrix2::zeros() });
-        }
-        Some(Self { inverse, null_space: minor })
+fn pseudo_inverse(matrix: &Matrix2<f64>) -> Option<(Matrix2<f64>, Matrix2<f64>)> {
+    let eigen = SymmetricEigen::of(matrix);
+    let largest = eigen.values.y;
+    if !(largest.is_finite() && largest > 0.0) {
+        return None;
     }
+    let major = eigen.major * eigen.major.transpose() / largest;
+    let minor = eigen.minor * eigen.minor.transpose();
+    let is_regular = eigen.values.x > RANK_TOLERANCE * largest;
+    Some(if is_regular { (major + minor / eigen.values.x, Matrix2::zeros()) } else { (major, minor) })
 }
 
 /// The unit vector u that minimises `u' S u / 2 + h' u`. If there are several minima, the one nearest to `prior`.

@@ -16,6 +16,7 @@
 //! in only some of the views that have one in its direction gets less weight.
 
 mod chords;
+mod free_direction;
 mod line_fit;
 mod projection;
 mod range_noise;
@@ -27,18 +28,18 @@ mod view_consistency;
 mod specification;
 
 use fearless_simd::{Level, Simd, dispatch, f32x8, prelude::*};
-use nalgebra::{Matrix2, Matrix3, Vector3};
+use nalgebra::Matrix3;
 
 use super::data_association::{Agreement, Correspondences, DataAssociation, PlacedView};
+use super::first_guess::{FirstGuess, Prior};
 use super::ray_order::RayOrder;
-use super::solver::{Metric, QuadraticForm};
+use super::solver::QuadraticForm;
 use super::surface::LANES;
-use super::symmetric_eigen::SymmetricEigen;
 use super::uncertainty::{Uncertainty, condition_number};
 use super::view::View;
-use super::{FirstGuess, Prior};
 use crate::geometry::{Point, Pose2};
 use crate::scan::Scan;
+use free_direction::remove_information;
 use line_fit::LineFitter;
 use projection::{ProjectedBlock, ViewProjection};
 use range_noise::RangeNoise;
@@ -71,9 +72,6 @@ const MIN_NOISE: f64 = 0.001;
 /// Minimum error of the direction of a surface, rad, a centimetre per metre: no wall is straighter. Information that such errors
 /// could produce is not claimed.
 const MIN_DIRECTION_ERROR: f64 = 0.01;
-/// A direction is unobservable if its information is less than this many times what errors of the surface directions alone
-/// produce.
-const MIN_INFORMATION_RATIO: f64 = 4.0;
 
 /// Projective data association with a robust kernel.
 pub(super) struct Projective {
@@ -201,60 +199,19 @@ impl Projective {
 
     /// Updates the kernel variance for the next iteration, and returns whether it has settled.
     fn update_kernel_variance(&mut self) -> bool {
-        let observed =
-            self.kernel_variance + self.totals.of(Sum::Excess) / self.totals.of(Sum::ExcessWeights).max(f64::MIN_POSITIVE);
-        let upper = if self.kernel_variance > MAX_SURFACE_VARIANCE {
-            (MAX_SHRINK * self.kernel_variance).max(MAX_SURFACE_VARIANCE)
-        } else {
-            self.kernel_variance
-        };
-        let kernel_variance = observed.max(MIN_SHRINK * self.kernel_variance).max(MIN_KERNEL_VARIANCE).min(upper);
-        let is_settled = kernel_variance >= SETTLED_SHRINK * self.kernel_variance;
-        self.kernel_variance = kernel_variance;
-        is_settled
+        let (now, excess_weights) = (self.kernel_variance, self.totals.of(Sum::ExcessWeights));
+        let observed = now + self.totals.of(Sum::Excess) / excess_weights.max(f64::MIN_POSITIVE);
+        let upper = if now > MAX_SURFACE_VARIANCE { (MAX_SHRINK * now).max(MAX_SURFACE_VARIANCE) } else { now };
+        self.kernel_variance = observed.max(MIN_SHRINK * now).max(MIN_KERNEL_VARIANCE).min(upper);
+        self.kernel_variance >= SETTLED_SHRINK * now
     }
-
-    /// The direction in which the correspondences do not constrain the translation, if there is one: a unit vector. Apparent
-    /// information that errors of the surface directions could produce does not count: the errors of the line fits, plus
-    /// `direction_error`, rad.
-    fn free_direction(&self, pose: &Pose2, direction_error: f64) -> Option<Point> {
-        let information = 0.5 * self.form.linearize(pose).1;
-        let coupling = information.fixed_view::<2, 1>(0, 2);
-        let translation = information.fixed_view::<2, 2>(0, 0) - coupling * coupling.transpose() / information.m33;
-        let eigen = SymmetricEigen::of(&Matrix2::from(translation));
-        let spurious = (self.totals.of(Sum::SpuriousInformation)
-            + direction_error * direction_error * self.totals.of(Sum::Weights))
-            / self.views_per_ray();
-        (eigen.values.x < MIN_INFORMATION_RATIO * spurious).then_some(eigen.minor)
-    }
-
-    /// A constraint that keeps the pose at the prior, or at the guess, along the unconstrained direction.
-    fn constrain_free_direction(&self, pose: &Pose2) -> QuadraticForm {
-        // Here only the errors of the fits count: even little information is better than none.
-        let Some(direction) = self.free_direction(pose, 0.0) else { return QuadraticForm::default() };
-        let expected = self.guess.prior.map_or(self.guess.pose, |prior| prior.pose);
-        let mut form = QuadraticForm::default();
-        // A line through the expected position, perpendicular to the unconstrained direction, with the total weight of the
-        // correspondences.
-        form.add_line(Point::zeros(), direction, direction.dot(&expected.translation()), self.totals.of(Sum::Expected));
-        form
-    }
-}
-
-/// Removes all information along a direction of the translation. What single-precision rounding leaves there, a difference of
-/// large numbers, may even be negative.
-fn remove_information(information: &Matrix3<f64>, direction: &Point) -> Matrix3<f64> {
-    let unobservable = Vector3::new(direction.x, direction.y, 0.0);
-    let rest = Matrix3::identity() - unobservable * unobservable.transpose();
-    rest * information * rest
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // counts of rays, and conversion to single precision
 impl DataAssociation for Projective {
     fn view(&mut self, scan: Scan) -> View {
-        let mut surfaces = Vec::with_capacity(scan.len() + 1);
         let noise = self.range_noise.standard_deviation();
-        self.fitter.fit(&scan, noise, &mut surfaces);
+        let surfaces = self.fitter.fit(self.level, &scan, noise);
         if self.estimates_noise
             && let Some(variance) = self.fitter.observed_variance(noise)
         {
@@ -287,22 +244,19 @@ impl DataAssociation for Projective {
         self.sensed.set(self.level, scan, self.range_noise.standard_deviation());
     }
 
-    fn select_rays(&mut self, order: RayOrder) {
+    fn select_rays(&mut self, order: RayOrder, max_views: usize) {
+        self.max_views = max_views;
         self.selected.select(&self.sensed.rays, order);
         self.beams.resize(self.selected.blocks.len(), [0; LANES]);
         self.consistency.resize(self.selected.blocks.len(), ViewConsistency::INITIAL);
         self.consistency.iter_mut().for_each(ViewConsistency::reset_weights);
     }
 
-    fn limit_views(&mut self, at_most: usize) {
-        self.max_views = at_most;
-    }
-
     fn ray_count(&self) -> usize {
         self.selected.len
     }
 
-    fn find_correspondences(&mut self, pose: &Pose2, _metric: Metric) -> Option<Correspondences> {
+    fn find_correspondences(&mut self, pose: &Pose2) -> Option<Correspondences> {
         if self.views.is_empty() {
             return None;
         }
@@ -338,7 +292,7 @@ impl DataAssociation for Projective {
         })
     }
 
-    fn uncertainty(&mut self, pose: &Pose2, _metric: Metric) -> Uncertainty {
+    fn uncertainty(&mut self, pose: &Pose2) -> Uncertainty {
         let variance =
             (self.totals.of(Sum::Squares) / self.totals.of(Sum::Expected).max(f64::MIN_POSITIVE)).max(MIN_NOISE * MIN_NOISE);
         let reference_rays: usize = self.selected_views().iter().map(|placed| placed.view.scan().valid_len()).sum();
@@ -397,21 +351,5 @@ impl DataAssociation for Projective {
                 }
             }
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_information_remains_along_a_removed_direction() {
-        // A wall along the direction (0.6, 0.8), with slightly negative information along it.
-        let (wall, unobservable) = (Vector3::new(0.8, -0.6, 3.0), Vector3::new(0.6, 0.8, 0.0));
-        let information = 1e8 * wall * wall.transpose() - 25.0 * unobservable * unobservable.transpose();
-        let left = remove_information(&information, &Point::new(0.6, 0.8));
-        assert!((left * unobservable).norm() < 1e-6, "{left}");
-        let total = left + Matrix3::identity() / 30.0;
-        assert!(total.cholesky().is_some(), "{total}");
     }
 }

@@ -3,7 +3,7 @@
 
 use fearless_simd::{Simd, f32x8, prelude::*};
 
-use super::rays::{Block, Lanes, Rays};
+use super::rays::{Block, Rays};
 use crate::geometry::Pose2;
 use crate::matching::surface::{LANES, Surface, Surfaces};
 use crate::matching::view::{Bearings, View};
@@ -50,7 +50,7 @@ impl<'a> ViewProjection<'a> {
 
     /// Rotates vectors of the sensed scan into the frame of the view.
     #[inline(always)]
-    pub(super) fn rotated<S: Simd>(&self, simd: S, [x, y]: &[Lanes; 2]) -> [f32x8<S>; 2] {
+    pub(super) fn rotated<S: Simd>(&self, simd: S, [x, y]: &[[f32; LANES]; 2]) -> [f32x8<S>; 2] {
         let (x, y) = (f32x8::from_slice(simd, x), f32x8::from_slice(simd, y));
         [x * self.cos - y * self.sin, x * self.sin + y * self.cos]
     }

@@ -7,18 +7,15 @@ use crate::matching::ray_order::RayOrder;
 use crate::matching::surface::LANES;
 use crate::scan::Scan;
 
-/// One value per ray of a block.
-pub(super) type Lanes = [f32; LANES];
-
 /// Eight rays in the frame of the scan; padded with zeros after the last ray.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Block {
     /// End points, m.
-    pub(super) point: [Lanes; 2],
+    pub(super) point: [[f32; LANES]; 2],
     /// Chords of the surfaces at the end points, m.
-    pub(super) chord: [Lanes; 2],
+    pub(super) chord: [[f32; LANES]; 2],
     /// Inverse squared ranges, 1/m^2.
-    pub(super) inverse_square: Lanes,
+    pub(super) inverse_square: [f32; LANES],
 }
 
 impl Block {

@@ -210,7 +210,7 @@ proptest! {
         fast.set_views(&views);
         fast.begin(&poses[0].into());
         fast.set_sensed(&scan);
-        fast.select_rays(RayOrder::first(rays, scan.valid_len()));
+        fast.select_rays(RayOrder::first(rays, scan.valid_len()), usize::MAX);
         let in_double = |of: [f32; 2]| Point::from(of.map(f64::from));
         let lanes = |of: &[[f32; LANES]; 2]| -> [Point; LANES] { std::array::from_fn(|lane| in_double(of.map(|axis| axis[lane]))) };
         let of_block = |block: &Block| lanes(&block.point).into_iter().zip(lanes(&block.chord));
@@ -219,7 +219,7 @@ proptest! {
         for pose in &poses {
             let plain = reference_correspondences(&views, &rays, pose, noise, fast.kernel_variance, &weights);
             prop_assume!(!plain.is_ambiguous);
-            prop_assert!(fast.find_correspondences(pose, Metric::PointToLine).is_some());
+            prop_assert!(fast.find_correspondences(pose).is_some());
             assert_same_results(&fast, &plain, pose)?;
             weights = plain.weights;
         }

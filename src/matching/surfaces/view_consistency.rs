@@ -3,7 +3,6 @@
 
 use fearless_simd::{Simd, f32x8, prelude::*};
 
-use super::rays::Lanes;
 use crate::matching::surface::LANES;
 
 /// Minimum fraction of the views that is taken to confirm a ray: one that lies on no surface yet may still converge to one.
@@ -13,13 +12,13 @@ pub(super) const MIN_CONFIRMED: f32 = 0.02;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ViewConsistency {
     /// Number of views with a surface for the ray.
-    pairs: Lanes,
+    pairs: [f32; LANES],
     /// Number of those views on whose surface the ray ends.
-    inliers: Lanes,
+    inliers: [f32; LANES],
     /// Distance from the nearest of these surfaces, m; infinite if there is none.
-    pub(super) nearest: Lanes,
+    pub(super) nearest: [f32; LANES],
     /// Weight of the ray relative to one that all views confirm, from the previous iteration.
-    weight: Lanes,
+    weight: [f32; LANES],
 }
 
 impl ViewConsistency {
