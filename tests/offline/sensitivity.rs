@@ -452,8 +452,8 @@ positions. An empty cell: neither error is another. `-`: it cannot be changed by
 --ignored sensitivity`.
 
 Most: the largest change of an error. Median change: that of all changes that have an effect on the log at all, a measure of chance, as when a place is recognised
-one keyframe earlier or later. fr079, aces and intel, which once swayed by 10 to 20 % with anything, seldom change by more than a few percent; what exceeds that
-on one log alone is a place missed.
+one keyframe earlier or later. Most changes move fr079, aces and intel by no more than a few percent; what exceeds that
+on one log alone is mostly a place missed.
 
 ";
 
