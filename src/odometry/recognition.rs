@@ -4,6 +4,7 @@ use super::local_map::Keyframe;
 use super::loop_closure::{self, LoopMeasurement};
 use super::{LaserOdometry, uncertainty};
 use crate::anytime::ContractRunner;
+use crate::geometry::PoseCovariance;
 use crate::matching::{FirstGuess, StopReason};
 
 impl LaserOdometry {
@@ -14,10 +15,13 @@ impl LaserOdometry {
             return;
         }
         let Some(candidate) = self.loop_candidate() else { return self.loop_verifier.reset() };
-        match self.measure_loop(&candidate, runner) {
+        let drift = self.map.drift_covariance(&candidate);
+        match self.measure_loop(&candidate, &drift, runner) {
             // Try again when there is more time.
             None => self.loop_check_pending = true,
-            Some(measurement) if self.loop_verifier.accepts(&measurement) => self.apply_loop_closure(&candidate, &measurement),
+            Some(measurement) if self.loop_verifier.accepts(&measurement) => {
+                self.apply_loop_closure(&candidate, &measurement, &drift);
+            }
             Some(_) => {}
         }
         self.select_views();
@@ -29,14 +33,20 @@ impl LaserOdometry {
         self.map.loop_candidate(&latest.pose.map_from_laser, self.knobs.views as usize, &mut self.views)
     }
 
-    /// Matches the latest keyframe to `views`, the first of which is `candidate`; `None` if there was no time for it.
-    fn measure_loop(&mut self, candidate: &Keyframe, runner: &mut ContractRunner) -> Option<LoopMeasurement> {
+    /// Matches the latest keyframe to `views`, the first of which is `candidate`; `None` if there was no time for it. `drift`:
+    /// covariance of the path's pose relative to the candidate.
+    fn measure_loop(
+        &mut self,
+        candidate: &Keyframe,
+        drift: &PoseCovariance,
+        runner: &mut ContractRunner,
+    ) -> Option<LoopMeasurement> {
         let latest = self.map.last()?;
         let (scan, path_pose) = (latest.view.scan(), latest.pose.map_from_laser);
         let map_from_candidate = candidate.pose.map_from_laser;
         self.matcher.set_views(&self.views);
         let pose = map_from_candidate.between(&path_pose);
-        let guess = FirstGuess { pose, prior: None, window: loop_closure::window(&self.map.drift_covariance(candidate)) };
+        let guess = FirstGuess { pose, prior: None, window: loop_closure::window(drift) };
         let mut refinement = self.matcher.begin(scan, guess);
         if runner.run(&mut refinement) == StopReason::Interrupted {
             return None;
@@ -51,9 +61,9 @@ impl LaserOdometry {
     }
 
     /// Applies an accepted loop closure: links the keyframes, and corrects the path, the pose and their covariances.
-    fn apply_loop_closure(&mut self, candidate: &Keyframe, measurement: &LoopMeasurement) {
+    fn apply_loop_closure(&mut self, candidate: &Keyframe, measurement: &LoopMeasurement, drift: &PoseCovariance) {
         self.counters.closed_loops += 1;
-        let (map_from_laser, remaining) = measurement.fused(&self.map.drift_covariance(candidate));
+        let (map_from_laser, remaining) = measurement.fused(drift);
         self.map.link(candidate);
         self.map.correct(candidate, &map_from_laser);
         let correction = map_from_laser * measurement.path_pose.inverse();
